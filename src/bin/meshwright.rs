@@ -1,0 +1,3 @@
+//! The command line: parses, calls the pipeline, writes; no algorithm.
+
+fn main() {}

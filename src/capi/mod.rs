@@ -1,0 +1,1 @@
+//! The C boundary: converts and calls, no algorithm.

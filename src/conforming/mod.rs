@@ -1,0 +1,1 @@
+//! Surface triangulation to tetrahedra that keep the surface exactly (CDT3D).

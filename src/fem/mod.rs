@@ -1,0 +1,1 @@
+//! Finite elements: linear elasticity on tets, pyramids, wedges and hexahedra, and the displacement fit.

@@ -1,0 +1,4 @@
+//! Images: where voxels are in the world, and what they hold.
+
+pub mod grid;
+pub mod label_image;

@@ -1,0 +1,1 @@
+//! Segmented image to mesh by adaptive body-centred cubic lattice refinement (CBC3D).

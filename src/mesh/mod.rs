@@ -1,0 +1,5 @@
+//! Meshes: the editable tet complex, the finished mixed mesh, surfaces, quality and validation.
+
+pub mod mixed_mesh;
+pub mod numbering;
+pub mod surface_mesh;

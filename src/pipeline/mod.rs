@@ -1,0 +1,1 @@
+//! Composes engines: the only Rust code that knows two of them.

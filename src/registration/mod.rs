@@ -1,0 +1,1 @@
+//! Moving and fixed scan to displacement field by physics-based non-rigid registration (PBNRR, Adaptive PBNRR).
