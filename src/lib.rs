@@ -31,5 +31,6 @@ pub mod parameters;
 pub mod pipeline;
 pub mod registration;
 pub mod sparse;
+pub mod statistics;
 
 pub use error::{Error, Finding, FindingCode, Result, Severity};
