@@ -2,3 +2,4 @@
 
 pub mod grid;
 pub mod label_image;
+pub mod voxel_image;

@@ -2,4 +2,5 @@
 
 pub mod mixed_mesh;
 pub mod numbering;
+pub mod sizing;
 pub mod surface_mesh;
