@@ -5,3 +5,4 @@
 //! positive for a tet in VTK's order.
 
 pub mod predicates;
+pub mod tetrahedron;

@@ -2,5 +2,7 @@
 
 pub mod mixed_mesh;
 pub mod numbering;
+pub mod quality;
 pub mod sizing;
 pub mod surface_mesh;
+pub mod validation;
