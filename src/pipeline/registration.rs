@@ -12,7 +12,7 @@ use crate::parameters::{ParameterSet, Table};
 pub use super::Output;
 
 /// The parameters of this kind of job.
-pub const PARAMETERS: Table = &[];
+pub const PARAMETERS: Table = crate::registration::options::PARAMETERS;
 
 /// What a run reads.
 #[derive(Clone, Copy)]
