@@ -5,4 +5,8 @@ pub mod numbering;
 pub mod quality;
 pub mod sizing;
 pub mod surface_mesh;
+pub mod tet_complex;
+pub mod tet_flags;
+pub mod tet_store;
+pub mod topology;
 pub mod validation;

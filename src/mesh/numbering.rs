@@ -25,6 +25,9 @@ pub const TET_EDGES: [[usize; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], 
 /// `(0, 1, 2, 3)`: the tet a b c d is positive when 0 1 2 3 is.
 pub const TET_OPPOSITE_EDGES: [[usize; 2]; 6] = [[2, 3], [3, 1], [1, 2], [0, 3], [2, 0], [0, 1]];
 
+/// The number in [`TET_EDGES`] of the edge between two local vertices; 6 on the diagonal.
+pub const TET_EDGE_BETWEEN: [[usize; 4]; 4] = [[6, 0, 1, 2], [0, 6, 3, 4], [1, 3, 6, 5], [2, 4, 5, 6]];
+
 /// Faces of a hexahedron, outward normals.
 pub const HEX_FACES: [[usize; 4]; 6] =
     [[0, 4, 7, 3], [1, 2, 6, 5], [0, 1, 5, 4], [3, 7, 6, 2], [0, 3, 2, 1], [4, 5, 6, 7]];
@@ -56,6 +59,13 @@ mod tests {
         for (f, [a, b, c]) in TET_FACES.into_iter().enumerate() {
             // The opposite vertex lies behind an outward face.
             assert!(orient3d(p[a], p[b], p[c], p[f]) < 0.0);
+        }
+    }
+
+    #[test]
+    fn edge_numbers_match_the_edge_list() {
+        for (e, [a, b]) in TET_EDGES.into_iter().enumerate() {
+            assert_eq!((TET_EDGE_BETWEEN[a][b], TET_EDGE_BETWEEN[b][a]), (e, e));
         }
     }
 
