@@ -5,12 +5,13 @@ use glam::DVec3;
 use crate::context::RunContext;
 use crate::error::{Error, Result};
 use crate::image::label_image::LabelImage;
-use crate::parameters::{ParameterSet, Table};
+use crate::lattice::{self, Options};
+use crate::parameters::{ParameterSet, Table, Value};
 
 pub use super::Output;
 
 /// The parameters of this kind of job.
-pub const PARAMETERS: Table = &[];
+pub const PARAMETERS: Table = lattice::PARAMETERS;
 
 /// What a run reads.
 #[derive(Debug, Clone, Copy)]
@@ -24,7 +25,22 @@ pub struct Input<'a> {
 /// Meshes the labelled region.
 ///
 /// # Errors
-/// Those of the lattice engine.
-pub fn run(_input: &Input, _parameters: &ParameterSet, _context: &RunContext) -> Result<Output> {
+/// Those of the lattice engine; [`Error::Io`] for an unreadable `multiple-fidelities` file.
+pub fn run(input: &Input, parameters: &ParameterSet, context: &RunContext) -> Result<Output> {
+    let mut options = Options::from_parameters(&with_fidelity_file(parameters)?)?;
+    options.fixed_points.extend_from_slice(input.fixed_points);
+    let _ = (&options, context);
     Err(Error::Unsupported { reason: "this build has no lattice engine".into() })
+}
+
+/// The parameters with the contents of the `multiple-fidelities` file in place of its name.
+fn with_fidelity_file(parameters: &ParameterSet) -> Result<ParameterSet> {
+    let mut set = parameters.clone();
+    if let Some(path) = parameters.text("multiple-fidelities") {
+        let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, e))?;
+        for (label, fidelity) in lattice::options::parse_fidelities(&text)? {
+            set.set_for_label("fidelity", label, Value::Real(fidelity))?;
+        }
+    }
+    Ok(set)
 }

@@ -1,0 +1,49 @@
+//! The mesh on its way through the engine: made by the lattice, moved by smoothing, finished at the end.
+//!
+//! # Method
+//! Arrays in the image's local frame (`Grid::local_to_world`), where the voxel grid is axis-aligned; compact labels.
+//! Every step after the lattice takes it by mutable reference and keeps its invariants.
+//!
+//! # Invariants
+//! Elements are positively oriented in the local frame and conforming, vertices are all used, no element is
+//! background. `fixed` vertices do not move.
+
+use glam::DVec3;
+
+use crate::index::{Label, VertexId};
+
+/// Elements of the lattice with their labels, local frame.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct CandidateMesh {
+    /// Local coordinates, mm. 24 B / vertex.
+    pub points: Vec<DVec3>,
+    /// `n x 4` vertices, positive orientation. 16 B / tet.
+    pub tets: Vec<[VertexId; 4]>,
+    /// Label per tet. 2 B / tet.
+    pub tet_labels: Vec<Label>,
+    /// `n x 5` vertices, VTK order.
+    pub pyramids: Vec<[VertexId; 5]>,
+    /// Label per pyramid.
+    pub pyramid_labels: Vec<Label>,
+    /// `n x 8` vertices, VTK order.
+    pub hexahedra: Vec<[VertexId; 8]>,
+    /// Label per hexahedron.
+    pub hexahedron_labels: Vec<Label>,
+    /// Vertices at the caller's fixed points.
+    pub fixed: Vec<VertexId>,
+}
+
+impl CandidateMesh {
+    /// Number of elements of all kinds.
+    pub fn element_count(&self) -> usize {
+        self.tets.len() + self.pyramids.len() + self.hexahedra.len()
+    }
+
+    /// Vertices and labels of all elements: tets, pyramids, hexahedra.
+    pub fn elements(&self) -> impl Iterator<Item = (&[VertexId], Label)> {
+        let tets = self.tets.iter().zip(&self.tet_labels).map(|(e, l)| (e.as_slice(), *l));
+        let pyramids = self.pyramids.iter().zip(&self.pyramid_labels).map(|(e, l)| (e.as_slice(), *l));
+        let hexahedra = self.hexahedra.iter().zip(&self.hexahedron_labels).map(|(e, l)| (e.as_slice(), *l));
+        tets.chain(pyramids).chain(hexahedra)
+    }
+}
