@@ -1,5 +1,12 @@
 //! Images: where voxels are in the world, and what they hold.
 
+pub mod gaussian;
+pub mod gradient;
 pub mod grid;
+pub mod interpolation;
 pub mod label_image;
+pub mod resample;
+pub mod scalar_image;
+pub mod vector_image;
 pub mod voxel_image;
+pub mod warp;
