@@ -8,3 +8,4 @@
 
 pub mod options;
 mod options_table;
+pub mod rigid;
