@@ -1,0 +1,130 @@
+// Loads the plugin, makes a mesh from raw voxels, runs a tetrahedral FEM on it, and checks both; then feeds the
+// component bad input and checks that the scene lives on. Prints what failed; exit code 0 when nothing did.
+#include <sofa/core/behavior/BaseMechanicalState.h>
+#include <sofa/core/objectmodel/BaseData.h>
+#include <sofa/core/topology/BaseMeshTopology.h>
+#include <sofa/helper/system/PluginManager.h>
+#include <sofa/simpleapi/SimpleApi.h>
+#include <sofa/simulation/Node.h>
+#include <sofa/simulation/Simulation.h>
+#include <sofa/simulation/graph/DAGSimulation.h>
+
+#include <cmath>
+#include <iostream>
+#include <sstream>
+#include <string>
+
+namespace api = sofa::simpleapi;
+
+static int failures = 0;
+
+static void expect(bool condition, const std::string& what)
+{
+    std::cout << (condition ? "passed: " : "FAILED: ") << what << std::endl;
+    failures += condition ? 0 : 1;
+}
+
+static std::string ballImage(int size, double radius)
+{
+    std::ostringstream text;
+    for (int k = 0; k < size; ++k)
+        for (int j = 0; j < size; ++j)
+            for (int i = 0; i < size; ++i)
+            {
+                const double center = 0.5 * (size - 1);
+                const double distance = std::sqrt(std::pow(i - center, 2) + std::pow(j - center, 2) + std::pow(k - center, 2));
+                text << (distance < radius ? "1 " : "0 ");
+            }
+    return text.str();
+}
+
+static std::string valueOf(const sofa::simulation::Node::SPtr& root, const std::string& object, const std::string& data)
+{
+    auto* component = root->getObject(object);
+    auto* field = component ? component->findData(data) : nullptr;
+    return field ? field->getValueString() : std::string();
+}
+
+static void meshesAnImageAndRunsAFiniteElementBody()
+{
+    auto root = api::createRootNode(sofa::simulation::getSimulation(), "root", {{"gravity", "0 0 -9.81"}});
+    api::createObject(root, "DefaultAnimationLoop");
+    api::createObject(root, "CBC3DMeshFromImage", {{"name", "mesher"}, {"image", ballImage(20, 7.0)}, {"dimensions", "20 20 20"},
+        {"spacing", "1 1 1"}, {"cellSize", "4"}, {"threads", "1"}});
+    auto body = api::createChild(root, "body");
+    api::createObject(body, "EulerImplicitSolver");
+    api::createObject(body, "CGLinearSolver", {{"iterations", "50"}, {"tolerance", "1e-9"}, {"threshold", "1e-9"}});
+    api::createObject(body, "TetrahedronSetTopologyContainer", {{"name", "topology"}, {"position", "@../mesher.outputPoints"},
+        {"tetrahedra", "@../mesher.outputTetras"}});
+    api::createObject(body, "MechanicalObject", {{"name", "nodes"}, {"template", "Vec3"}});
+    api::createObject(body, "UniformMass", {{"totalMass", "1"}});
+    api::createObject(body, "TetrahedronFEMForceField", {{"name", "fem"}, {"youngModulus", "3000"}, {"poissonRatio", "0.45"}});
+    sofa::simulation::node::initRoot(root.get());
+
+    const auto* topology = body->getMeshTopology();
+    expect(topology && topology->getNbTetrahedra() > 100, "the topology holds the tetrahedra of the image");
+    expect(valueOf(root, "mesher", "componentState") == "Valid", "the mesher is valid");
+    expect(std::stod("0" + valueOf(root, "mesher", "minDihedral")) > 5.0, "the smallest dihedral angle is known and sound");
+
+    const auto* nodes = body->getMechanicalState();
+    const double before = nodes->getPZ(0);
+    for (int step = 0; step < 5; ++step)
+    {
+        sofa::simulation::node::animate(root.get(), 0.01);
+    }
+    const double fall = before - nodes->getPZ(0);
+    // 5 implicit Euler steps of 0.01 s fall g dt^2 (1 + 2 + 3 + 4 + 5) = 14.7 mm in SI; free fall leaves the body unstrained.
+    expect(std::isfinite(fall) && std::abs(fall - 9.81e-4 * 15) < 1e-3, "the body falls as a free body does");
+    sofa::simulation::node::unload(root);
+}
+
+static void badInputIsAComponentStateAndTheSceneLivesOn()
+{
+    auto root = api::createRootNode(sofa::simulation::getSimulation(), "root");
+    api::createObject(root, "DefaultAnimationLoop");
+    api::createObject(root, "CBC3DMeshFromImage", {{"name", "noFile"}, {"filename", "/nowhere/image.nii"}});
+    api::createObject(root, "CBC3DMeshFromImage", {{"name", "noInput"}});
+    api::createObject(root, "CBC3DMeshFromImage", {{"name", "wrongSize"}, {"image", "1 1 1"}, {"dimensions", "2 2 2"}});
+    api::createObject(root, "CDT3DMeshFromSurface", {{"name", "open"}, {"inputPoints", "0 0 0 1 0 0 0 1 0"}, {"inputTriangles", "0 1 2"}});
+    api::createObject(root, "BiomechanicalRegistration", {{"name", "noScans"}});
+    sofa::simulation::node::initRoot(root.get());
+    for (const char* name : {"noFile", "noInput", "wrongSize", "open", "noScans"})
+    {
+        expect(valueOf(root, name, "componentState") == "Invalid", std::string(name) + " is invalid");
+        expect(valueOf(root, name, "outputPoints").empty(), std::string(name) + " has no points");
+    }
+    sofa::simulation::node::animate(root.get(), 0.01);
+    expect(true, "the scene is animated after the errors");
+    sofa::simulation::node::unload(root);
+}
+
+static void meshesASurface()
+{
+    auto root = api::createRootNode(sofa::simulation::getSimulation(), "root");
+    api::createObject(root, "CDT3DMeshFromSurface", {{"name", "mesher"}, {"refine", "false"},
+        {"inputPoints", "0 0 0 1 0 0 1 1 0 0 1 0 0 0 1 1 0 1 1 1 1 0 1 1"},
+        {"inputQuads", "0 3 2 1 4 5 6 7 0 1 5 4 1 2 6 5 2 3 7 6 3 0 4 7"}});
+    sofa::simulation::node::initRoot(root.get());
+    expect(valueOf(root, "mesher", "componentState") == "Valid", "the surface mesher is valid");
+    std::istringstream points(valueOf(root, "mesher", "outputPoints"));
+    int count = 0;
+    for (double value; points >> value;) { ++count; }
+    expect(count == 24, "the cube keeps its eight points and gets no other");
+    sofa::simulation::node::unload(root);
+}
+
+int main()
+{
+    auto& plugins = sofa::helper::system::PluginManager::getInstance();
+    expect(plugins.loadPluginByPath(PLUGIN_PATH) == sofa::helper::system::PluginManager::PluginLoadStatus::SUCCESS, "the plugin loads");
+    for (const char* name : {"Sofa.Component.ODESolver.Backward", "Sofa.Component.LinearSolver.Iterative", "Sofa.Component.Mass",
+                             "Sofa.Component.StateContainer", "Sofa.Component.Topology.Container.Dynamic", "Sofa.Component.SolidMechanics.FEM.Elastic"})
+    {
+        api::importPlugin(name);
+    }
+    meshesAnImageAndRunsAFiniteElementBody();
+    meshesASurface();
+    badInputIsAComponentStateAndTheSceneLivesOn();
+    std::cout << failures << " failures" << std::endl;
+    return failures == 0 ? 0 : 1;
+}
