@@ -1,0 +1,1 @@
+"""What the three Meshwright modules share. `command_line` and `results` need no Qt and are tested without Slicer's window."""
