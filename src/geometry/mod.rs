@@ -4,5 +4,11 @@
 //! Exact predicates decide topology; floating point only measures. Sign convention: [`predicates::orient3d`] is
 //! positive for a tet in VTK's order.
 
+pub mod aabb_tree;
+pub mod bounding_box;
+pub mod intersection;
+pub mod point_grid;
 pub mod predicates;
+pub mod segment;
 pub mod tetrahedron;
+pub mod triangle;
