@@ -100,10 +100,7 @@ pub struct TetTopology {
 impl TetTopology {
     /// For `count` tets.
     pub fn new(count: usize) -> Self {
-        Self {
-            types: vec![ElementKind::Tet.vtk_type(); count],
-            offsets: (0..=count as i64).map(|i| 4 * i).collect(),
-        }
+        Self { types: vec![ElementKind::Tet.vtk_type(); count], offsets: (0..=count as i64).map(|i| 4 * i).collect() }
     }
 
     /// The view of tets with their points and labels.

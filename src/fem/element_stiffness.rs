@@ -344,8 +344,10 @@ mod tests {
                     }
                 }
                 let u: Vec<DVec3> = (0..n).map(|i| DVec3::new((i as f64).sin(), (2.0 * i as f64).cos(), 0.3)).collect();
-                let energy: f64 =
-                    (0..n).flat_map(|i| (0..n).map(move |j| (i, j))).map(|(i, j)| u[i].dot(matrix.block(i, j) * u[j])).sum();
+                let energy: f64 = (0..n)
+                    .flat_map(|i| (0..n).map(move |j| (i, j)))
+                    .map(|(i, j)| u[i].dot(matrix.block(i, j) * u[j]))
+                    .sum();
                 assert!(energy > 0.0);
             }
         }
@@ -356,8 +358,7 @@ mod tests {
         let material = Material::new(1.0, 0.3).unwrap();
         let mut matrix = ElementMatrix::default();
         for kind in KINDS {
-            let mirrored: Vec<DVec3> =
-                reference_nodes(kind).into_iter().map(|p| DVec3::new(-p.x, p.y, p.z)).collect();
+            let mirrored: Vec<DVec3> = reference_nodes(kind).into_iter().map(|p| DVec3::new(-p.x, p.y, p.z)).collect();
             assert!(element_stiffness(kind, Formulation::Standard, &mirrored, &material, &mut matrix).is_err());
         }
     }
