@@ -8,7 +8,16 @@
 //! # Invariants
 //! Images are read and written in LPS millimetres. Meshes keep the frame that their file states.
 
+mod atomic_file;
+mod metaimage;
+mod nifti;
+mod nrrd;
+mod voxel_stream;
+
+use std::io::Read;
 use std::path::Path;
+
+pub use atomic_file::{check_writable, write_atomically};
 
 use crate::error::{Error, Result};
 use crate::image::voxel_image::VoxelImage;
@@ -112,16 +121,97 @@ pub struct WriteOptions {
 /// # Errors
 /// [`Error::Io`], [`Error::Format`] saying what is wrong, [`Error::OutOfMemory`].
 pub fn read_image(path: &Path) -> Result<VoxelImage> {
-    Err(Error::Unsupported { reason: format!("{}: reading images", path.display()) })
+    match image_format(path).map_or_else(|| sniff_image(path), Ok)? {
+        ImageFormat::Nifti => nifti::read(path),
+        ImageFormat::Nrrd => nrrd::read(path),
+        ImageFormat::MetaImage => metaimage::read(path),
+    }
 }
 
 /// Writes an image in the format of the file's name.
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Unsupported`] for an unknown ending.
-pub fn write_image(_image: &VoxelImage, path: &Path) -> Result<()> {
-    Err(Error::Unsupported { reason: format!("{}: writing images", path.display()) })
+pub fn write_image(image: &VoxelImage, path: &Path) -> Result<()> {
+    match image_format(path) {
+        Some(ImageFormat::Nifti) => nifti::write(image, path),
+        Some(ImageFormat::Nrrd) => nrrd::write(image, path),
+        Some(ImageFormat::MetaImage) => metaimage::write(image, path),
+        None => Err(Error::Unsupported {
+            reason: format!("{}: images are written as {}", path.display(), IMAGE_EXTENSIONS.join(" ")),
+        }),
+    }
 }
+
+/// Endings of image files.
+pub const IMAGE_EXTENSIONS: &[&str] = &[".nii.gz", ".nii", ".nrrd", ".nhdr", ".mha", ".mhd", ".hdr", ".img"];
+
+#[derive(Debug, Clone, Copy)]
+enum ImageFormat {
+    Nifti,
+    Nrrd,
+    MetaImage,
+}
+
+fn lower_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().to_lowercase()
+}
+
+fn image_format(path: &Path) -> Option<ImageFormat> {
+    let name = lower_name(path);
+    let ends = |endings: &[&str]| endings.iter().any(|e| name.ends_with(e));
+    if ends(&[".nii", ".nii.gz", ".hdr", ".img", ".hdr.gz", ".img.gz"]) {
+        Some(ImageFormat::Nifti)
+    } else if ends(&[".nrrd", ".nhdr"]) {
+        Some(ImageFormat::Nrrd)
+    } else if ends(&[".mha", ".mhd"]) {
+        Some(ImageFormat::MetaImage)
+    } else {
+        None
+    }
+}
+
+/// Whether the name is that of an image file.
+pub fn is_image_path(path: &Path) -> bool {
+    image_format(path).is_some()
+}
+
+/// The format of a file whose name says nothing.
+fn sniff_image(path: &Path) -> Result<ImageFormat> {
+    let (file, _) = atomic_file::open(path)?;
+    let mut start = Vec::new();
+    file.take(348).read_to_end(&mut start).map_err(|source| Error::io(path, source))?;
+    if start.starts_with(b"NRRD") {
+        Ok(ImageFormat::Nrrd)
+    } else if start.starts_with(&[0x1f, 0x8b])
+        || [348, 540].iter().any(|&n: &i32| start.starts_with(&n.to_le_bytes()) || start.starts_with(&n.to_be_bytes()))
+    {
+        Ok(ImageFormat::Nifti)
+    } else if start.starts_with(b"ObjectType") || start.starts_with(b"NDims") {
+        Ok(ImageFormat::MetaImage)
+    } else {
+        Err(Error::format(path, format!("no known image: {} are read", IMAGE_EXTENSIONS.join(" "))))
+    }
+}
+
+/// Applies `$body` to the typed vector of `$data` and wraps the result in the same variant.
+macro_rules! map_voxels {
+    ($data:expr, $values:ident => $body:expr) => {
+        match $data {
+            VoxelData::U8($values) => VoxelData::U8($body),
+            VoxelData::I8($values) => VoxelData::I8($body),
+            VoxelData::U16($values) => VoxelData::U16($body),
+            VoxelData::I16($values) => VoxelData::I16($body),
+            VoxelData::U32($values) => VoxelData::U32($body),
+            VoxelData::I32($values) => VoxelData::I32($body),
+            VoxelData::U64($values) => VoxelData::U64($body),
+            VoxelData::I64($values) => VoxelData::I64($body),
+            VoxelData::F32($values) => VoxelData::F32($body),
+            VoxelData::F64($values) => VoxelData::F64($body),
+        }
+    };
+}
+use map_voxels;
 
 /// Reads a surface.
 ///

@@ -1,3 +1,0 @@
-//! The command line: parses, calls the pipeline, writes; no algorithm.
-
-fn main() {}
