@@ -15,6 +15,8 @@
 //! ones left out); every facet is a face of the mesh; no other point lies on the surface.
 
 pub mod fault_picture;
+pub mod flip_criteria;
+pub mod flips;
 pub mod input_check;
 pub mod options;
 pub mod report;

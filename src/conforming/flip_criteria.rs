@@ -1,0 +1,176 @@
+//! What a flip improves: measures of one tet, and the objective functions over configurations.
+//!
+//! # Method
+//! A [`TetMeasure`] grades one tet, higher is better, at most 0 for a tet that is flat or inverted; a configuration is
+//! as good as its worst tet. The Laplacian edge weight grades a whole configuration, because the tets at an edge add up.
+//!
+//! # Source
+//! 1. In-sphere criterion: [Drakopoulos2017] 4.7, figure 68a.
+//! 2. Max-min Laplacian edge weight: [Drakopoulos2017] 4.7, figure 68b; [Barth1991]: the weight of an edge is the sum
+//!    over its tets of -(n_k . n_l) / V, with the area vectors of the two faces opposite to the edge's ends.
+//! 3. Min-max skew: the largest dihedral angle; [Drakopoulos2017] B.3 `mrecm 3`, 4.5.
+//! 4. Biased minimum sine: [KlingnerShewchuk2007] section 2.
+//!
+//! # Differences
+//! The weight of an edge on the border of a configuration counts only the tets inside: what lies outside is the same
+//! before and after.
+//!
+//! # Invariants
+//! Measures are floating point: exact orientation decides validity, in `flips`.
+
+use glam::DVec3;
+
+use crate::geometry::predicates::{insphere, orient3d};
+use crate::geometry::tetrahedron::{dihedral_cosines, face_normals, volume6};
+use crate::index::{TetFace, VertexId};
+use crate::mesh::numbering::TET_EDGES;
+use crate::mesh::tet_store::TetStore;
+
+/// Grades one tet by its points in positive order.
+pub trait TetMeasure {
+    /// The grade: higher is better, at most 0 when flat or inverted.
+    fn grade(&self, corners: [DVec3; 4]) -> f64;
+}
+
+/// Every valid tet is as good as any other: for boundary recovery.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct AnyPositive;
+
+impl TetMeasure for AnyPositive {
+    #[inline]
+    fn grade(&self, [a, b, c, d]: [DVec3; 4]) -> f64 {
+        if orient3d(a, b, c, d) > 0.0 { 1.0 } else { -1.0 }
+    }
+}
+
+/// Weight of an obtuse angle's sine: 18 and 150 degrees get the same grade, the limits aimed at.
+const OBTUSE_WEIGHT: f64 = 0.62;
+
+/// The smallest sine of the dihedral angles, sines of obtuse angles reduced.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct BiasedSine;
+
+impl BiasedSine {
+    /// The grade of a tet whose smallest angle is `min` and whose largest angle is `max` degrees.
+    pub fn grade_of_angles(min: f64, max: f64) -> f64 {
+        let sine = |degrees: f64| {
+            let weight = if degrees > 90.0 { OBTUSE_WEIGHT } else { 1.0 };
+            weight * degrees.to_radians().sin()
+        };
+        sine(min).min(sine(max))
+    }
+}
+
+impl TetMeasure for BiasedSine {
+    #[inline]
+    fn grade(&self, corners: [DVec3; 4]) -> f64 {
+        let six_volume = volume6(corners);
+        if six_volume <= 0.0 {
+            return six_volume.min(0.0);
+        }
+        let normals = face_normals(corners);
+        let inverse = normals.map(|n| n.length_squared().recip());
+        let mut worst = f64::INFINITY;
+        // The faces k and l meet at the edge i j: sin^2 = (6 V |ij|)^2 / (|n_k|^2 |n_l|^2).
+        for ([i, j], [k, l]) in
+            [([0, 1], [2, 3]), ([0, 2], [1, 3]), ([0, 3], [1, 2]), ([1, 2], [0, 3]), ([1, 3], [0, 2]), ([2, 3], [0, 1])]
+        {
+            let squared = (corners[j] - corners[i]).length_squared() * inverse[k] * inverse[l];
+            let is_obtuse = normals[k].dot(normals[l]) > 0.0;
+            worst = worst.min(if is_obtuse { squared * (OBTUSE_WEIGHT * OBTUSE_WEIGHT) } else { squared });
+        }
+        let grade = six_volume * worst.sqrt();
+        if grade.is_finite() { grade } else { 0.0 }
+    }
+}
+
+/// One plus the cosine of the largest dihedral angle: the min-max skew criterion.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct MaxAngle;
+
+impl TetMeasure for MaxAngle {
+    #[inline]
+    fn grade(&self, corners: [DVec3; 4]) -> f64 {
+        if volume6(corners) <= 0.0 { 0.0 } else { 1.0 + dihedral_cosines(corners).1 }
+    }
+}
+
+/// Whether the apex beyond `side` lies inside the circumsphere of the tet of `side`; false at the hull.
+#[inline]
+pub fn violates_in_sphere<S: TetStore + ?Sized>(store: &S, side: TetFace) -> bool {
+    let other = store.neighbor(side);
+    if other == TetFace::NONE {
+        return false;
+    }
+    let apex = store.apex(other);
+    let vertices = store.vertices(side.tet());
+    if apex.is_ghost() || vertices.contains(&VertexId::GHOST) {
+        return false;
+    }
+    let [a, b, c, d] = vertices.map(|v| store.point(v));
+    insphere(a, b, c, d, store.point(apex)) > 0.0
+}
+
+/// Most tets of a configuration graded by its edge weights.
+pub const MAX_WEIGHTED: usize = 8;
+
+/// The smallest Laplacian edge weight of a configuration of at most [`MAX_WEIGHTED`] tets; minus infinite when a tet is
+/// flat or inverted.
+pub fn min_edge_weight<S: TetStore + ?Sized>(store: &S, tets: &[[VertexId; 4]]) -> f64 {
+    debug_assert!(tets.len() <= MAX_WEIGHTED);
+    let mut edges = [((VertexId::GHOST, VertexId::GHOST), 0.0f64); 6 * MAX_WEIGHTED];
+    let mut count = 0;
+    for tet in tets {
+        let corners = tet.map(|v| store.point(v));
+        let six_volume = volume6(corners);
+        if six_volume <= 0.0 {
+            return f64::NEG_INFINITY;
+        }
+        let normals = face_normals(corners);
+        let scale = -six_volume.recip();
+        for [i, j] in TET_EDGES {
+            let key = if tet[i] < tet[j] { (tet[i], tet[j]) } else { (tet[j], tet[i]) };
+            // The faces opposite to the ends of the edge.
+            let weight = scale * normals[i].dot(normals[j]);
+            match edges[..count].iter_mut().find(|(k, _)| *k == key) {
+                Some((_, sum)) => *sum += weight,
+                None => {
+                    edges[count] = (key, weight);
+                    count += 1;
+                }
+            }
+        }
+    }
+    edges[..count].iter().map(|(_, weight)| *weight).fold(f64::INFINITY, f64::min)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::tetrahedron::dihedral_range;
+
+    #[test]
+    fn biased_sine_follows_the_angles() {
+        let tets = [
+            [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
+            [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::new(0.4, 0.4, 0.1)],
+            [DVec3::ZERO, DVec3::X, DVec3::new(0.9, 0.2, 0.0), DVec3::Z],
+        ];
+        for tet in tets {
+            let range = dihedral_range(tet);
+            let expected = BiasedSine::grade_of_angles(range.min, range.max);
+            assert!((BiasedSine.grade(tet) - expected).abs() < 1e-12);
+            let skew = 1.0 + range.max.to_radians().cos();
+            assert!((MaxAngle.grade(tet) - skew).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn flat_and_inverted_tets_grade_at_most_zero() {
+        let flat = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::new(1.0, 1.0, 0.0)];
+        let inverted = [DVec3::ZERO, DVec3::Y, DVec3::X, DVec3::Z];
+        for tet in [flat, inverted, [DVec3::ZERO; 4]] {
+            assert!(BiasedSine.grade(tet) <= 0.0 && MaxAngle.grade(tet) <= 0.0 && AnyPositive.grade(tet) <= 0.0);
+        }
+    }
+}

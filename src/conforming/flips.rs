@@ -1,0 +1,1072 @@
+//! Flips: every local reconnection as plan, check and commit.
+//!
+//! # Method
+//! 1. A *plan* function reads the store, claims the vertices of what it would replace, and lists old and new tets.
+//! 2. *Check*: constraints and labels while planning; grades of a [`TetMeasure`]; exact orientation of every new tet.
+//!    New tets that fill the same closed surface and are all positive tile it: no other test is needed.
+//! 3. [`commit`] replaces old by new: it keeps neighbours, constrained faces and constrained edges of the border.
+//!
+//! ```text
+//! 2-3 / 3-2                        4-4 and n-m (edge removal)           multi-face removal: the inverse
+//!      d            d              ring c0 .. c(n-1) around a b:        all faces between the apexes a and b
+//!     /|\          /|\             every triangle of a triangulation    are replaced by the edge a b
+//!    / | \        / | \            of the ring, with a and with b
+//!   a-----c  <-> a--|--c
+//!    \ | /        \ | /            1-4, 2-6, n-2n: a vertex in a tet, on a face, on an edge; each tet that has the
+//!     \|/          \|/             feature gives one tet per vertex of the feature, that vertex replaced.
+//!      e            e              4-1, 6-2, 2n-n and any other vertex removal: contraction of an edge.
+//! ```
+//!
+//! # Source
+//! [Drakopoulos2017] 4.5 (flips 1-4, 4-1, 2-3, 3-2, 2-6, n-2n, 2-2, 4-4, n-m with n up to 10 and recursive);
+//! triangulation of the ring by dynamic programming and multi-face removal: [Shewchuk2002].
+//!
+//! # Differences
+//! The n-m flip is planned at once instead of as a sequence of 2-3 flips: all C_n triangulations of the ring are
+//! compared in O(n^3), none of them needs valid intermediate tets. A 2-2 flip on the convex hull is the same function,
+//! with the ghost vertex in the ring.
+//!
+//! # Invariants
+//! No plan removes a constrained face or edge, mixes labels or moves the hull. Only [`commit`] writes.
+//!
+//! # Cost
+//! 2-3, 3-2: about a microsecond. No allocation after the scratch buffers have grown. Deterministic.
+
+use crate::conforming::flip_criteria::TetMeasure;
+use crate::error::{Error, Result};
+use crate::geometry::predicates::orient3d;
+use crate::index::{Label, TetFace, TetId, VertexId};
+use crate::mesh::numbering::TET_EDGES;
+use crate::mesh::tet_store::TetStore;
+use crate::mesh::topology::{ShellKind, ShellTet, collect_ball, collect_shell};
+
+/// Most tets around an edge that a plan takes on: Catalan(14) configurations, still cheap by dynamic programming.
+pub const MAX_SHELL: usize = 16;
+/// Most faces that a multi-face removal replaces.
+const MAX_SANDWICH: usize = 12;
+/// Most tets around a vertex that is removed.
+const MAX_BALL: usize = 96;
+
+/// What became of an attempt.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Outcome {
+    /// The plan stands, or was carried out.
+    Accepted,
+    /// No new configuration has only positive tets.
+    WouldInvert,
+    /// The worst new tet is not better than the worst old one.
+    WorsensQuality,
+    /// A constrained face or edge, two labels, or the hull stand in the way.
+    Constrained,
+    /// Another thread holds a vertex.
+    ClaimLost,
+    /// The configuration is not what this flip needs (too many tets, the tet is gone).
+    NotApplicable,
+}
+
+/// Old and new tets of one replacement, with their grades.
+#[derive(Debug, Clone, Default)]
+pub struct Plan {
+    /// Tets to delete.
+    pub old: Vec<TetId>,
+    /// Tets to create, positive.
+    pub new: Vec<[VertexId; 4]>,
+    /// Label of the new tets.
+    pub label: Label,
+    /// Grade of the worst old tet.
+    pub old_grade: f64,
+    /// Grade of the worst new tet.
+    pub new_grade: f64,
+    /// A vertex that the replacement leaves without tets.
+    pub removed_vertex: Option<VertexId>,
+}
+
+impl Plan {
+    fn reset(&mut self, label: Label) {
+        self.old.clear();
+        self.new.clear();
+        self.label = label;
+        self.old_grade = f64::INFINITY;
+        self.new_grade = f64::INFINITY;
+        self.removed_vertex = None;
+    }
+
+    /// Whether every finite new tet is positive, exactly.
+    pub fn is_positive<S: TetStore + ?Sized>(&self, store: &S) -> bool {
+        self.new.iter().filter(|tet| !tet.contains(&VertexId::GHOST)).all(|tet| {
+            let [a, b, c, d] = tet.map(|v| store.point(v));
+            orient3d(a, b, c, d) > 0.0
+        })
+    }
+}
+
+/// A face of the border, or of a new tet that waits for its partner.
+#[derive(Debug, Clone, Copy)]
+struct OpenFace {
+    sorted: [VertexId; 3],
+    side: TetFace,
+    constrained: bool,
+}
+
+/// Buffers of the flips, reused from one to the next.
+#[derive(Debug, Clone, Default)]
+pub struct FlipScratch {
+    /// The plan made last.
+    pub plan: Plan,
+    /// Tets created by the last commit, in the order of the plan.
+    pub created: Vec<TetId>,
+    shell: Vec<ShellTet>,
+    ring: Vec<VertexId>,
+    ball: Vec<TetId>,
+    open: Vec<OpenFace>,
+    edges: Vec<[VertexId; 2]>,
+    triangulation: Triangulation,
+}
+
+/// Which of the grades decides whether a plan stands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Accept {
+    /// Any valid configuration.
+    Valid,
+    /// The worst new tet must be better than the worst old one.
+    Better,
+    /// The worst new tet must be better than this grade.
+    Above(f64),
+}
+
+impl Accept {
+    #[inline]
+    fn threshold(self, old_grade: f64) -> f64 {
+        match self {
+            Self::Valid => 0.0,
+            // A little more than equal, so that two configurations of the same grade never alternate.
+            Self::Better => old_grade.max(0.0) * (1.0 + 1e-9),
+            Self::Above(grade) => grade.max(0.0),
+        }
+    }
+}
+
+#[inline]
+fn grade_of<S: TetStore + ?Sized, M: TetMeasure>(store: &S, measure: &M, tet: [VertexId; 4]) -> f64 {
+    measure.grade(tet.map(|v| store.point(v)))
+}
+
+/// Claims a tet and refuses what no flip may touch.
+#[inline]
+fn claim_finite<S: TetStore + ?Sized>(store: &mut S, tet: TetId) -> Outcome {
+    if !store.try_claim_tet(tet) {
+        return if store.is_live(tet) { Outcome::ClaimLost } else { Outcome::NotApplicable };
+    }
+    if !store.is_live(tet) {
+        Outcome::NotApplicable
+    } else if store.is_ghost_tet(tet) {
+        Outcome::Constrained
+    } else {
+        Outcome::Accepted
+    }
+}
+
+/// Plans the flip 2-3 of the face `side`: the face goes, the edge between its apexes comes.
+pub fn plan_23<S: TetStore + ?Sized, M: TetMeasure>(
+    store: &mut S,
+    side: TetFace,
+    measure: &M,
+    accept: Accept,
+    scratch: &mut FlipScratch,
+) -> Outcome {
+    let tet = side.tet();
+    match claim_finite(store, tet) {
+        Outcome::Accepted => {}
+        other => return other,
+    }
+    let other = store.neighbor(side);
+    if other == TetFace::NONE || store.is_face_constrained(side) || store.label(tet) != store.label(other.tet()) {
+        return Outcome::Constrained;
+    }
+    let below = store.apex(other);
+    if below.is_ghost() {
+        return Outcome::Constrained;
+    }
+    if !store.try_claim(below) {
+        return Outcome::ClaimLost;
+    }
+    let above = store.apex(side);
+    let [a, b, c] = store.face_vertices(side);
+    // The face is outward from the tet: a b c turns counter-clockwise seen from `below`.
+    let new = [[a, b, above, below], [b, c, above, below], [c, a, above, below]];
+    let plan = &mut scratch.plan;
+    plan.reset(store.label(tet));
+    plan.old.extend([tet, other.tet()]);
+    plan.old_grade = [store.vertices(tet), store.vertices(other.tet())]
+        .into_iter()
+        .map(|t| grade_of(store, measure, t))
+        .fold(f64::INFINITY, f64::min);
+    let threshold = accept.threshold(plan.old_grade);
+    for tet in new {
+        let grade = grade_of(store, measure, tet);
+        plan.new_grade = plan.new_grade.min(grade);
+        if grade <= threshold {
+            return if grade <= 0.0 { Outcome::WouldInvert } else { Outcome::WorsensQuality };
+        }
+        plan.new.push(tet);
+    }
+    if plan.is_positive(store) { Outcome::Accepted } else { Outcome::WouldInvert }
+}
+
+/// Best triangulation of a polygon by dynamic programming.
+#[derive(Debug, Clone)]
+struct Triangulation {
+    grade: [[f64; MAX_SHELL]; MAX_SHELL],
+    apex: [[u8; MAX_SHELL]; MAX_SHELL],
+}
+
+impl Default for Triangulation {
+    fn default() -> Self {
+        Self { grade: [[0.0; MAX_SHELL]; MAX_SHELL], apex: [[0; MAX_SHELL]; MAX_SHELL] }
+    }
+}
+
+impl Triangulation {
+    /// Fills the table for `count` corners; `triangle(i, j, k, bound)` grades one with i < j < k and may return
+    /// anything not above `bound` as soon as it knows that the grade is not.
+    fn solve(
+        &mut self,
+        count: usize,
+        threshold: f64,
+        mut triangle: impl FnMut(usize, usize, usize, f64) -> f64,
+    ) -> f64 {
+        for i in 0..count - 1 {
+            self.grade[i][i + 1] = f64::INFINITY;
+        }
+        for span in 2..count {
+            for i in 0..count - span {
+                let k = i + span;
+                let (mut best, mut apex) = (threshold, 0);
+                for j in i + 1..k {
+                    let sides = self.grade[i][j].min(self.grade[j][k]);
+                    if sides > best {
+                        let grade = sides.min(triangle(i, j, k, best));
+                        if grade > best {
+                            (best, apex) = (grade, j as u8);
+                        }
+                    }
+                }
+                self.grade[i][k] = if apex == 0 { f64::NEG_INFINITY } else { best };
+                self.apex[i][k] = apex;
+            }
+        }
+        self.grade[0][count - 1]
+    }
+
+    /// Calls `visit` with every triangle of the best triangulation.
+    fn visit(&self, count: usize, mut visit: impl FnMut(usize, usize, usize)) {
+        let mut stack = [(0u8, 0u8); MAX_SHELL];
+        stack[0] = (0, (count - 1) as u8);
+        let mut depth = 1;
+        while depth > 0 {
+            depth -= 1;
+            let (i, k) = stack[depth];
+            if k - i < 2 {
+                continue;
+            }
+            let j = self.apex[usize::from(i)][usize::from(k)];
+            visit(usize::from(i), usize::from(j), usize::from(k));
+            stack[depth] = (i, j);
+            stack[depth + 1] = (j, k);
+            depth += 2;
+        }
+    }
+}
+
+/// Plans the removal of the edge of `start` by the best triangulation of its ring: flips 3-2, 4-4, n-m for n up to
+/// `limit`. On the convex hull (the ghost in the ring) it is the flip 2-2, where the four hull points are coplanar.
+pub fn plan_edge_removal<S: TetStore + ?Sized, M: TetMeasure>(
+    store: &mut S,
+    start: ShellTet,
+    limit: usize,
+    measure: &M,
+    accept: Accept,
+    scratch: &mut FlipScratch,
+) -> Outcome {
+    let outcome = collect_ring(store, start, limit.min(MAX_SHELL), scratch);
+    if outcome != Outcome::Accepted {
+        return outcome;
+    }
+    let row = store.vertices(start.tet);
+    let (a, b) = (row[start.a], row[start.b]);
+    let FlipScratch { plan, ring, shell, triangulation, .. } = scratch;
+    let ghost_at = ring.iter().position(|v| v.is_ghost());
+    if let Some(at) = ghost_at {
+        let (next, previous) = (ring[(at + 1) % ring.len()], ring[(at + ring.len() - 1) % ring.len()]);
+        if orient3d(store.point(a), store.point(b), store.point(next), store.point(previous)) != 0.0 {
+            return Outcome::Constrained; // another diagonal would move the hull
+        }
+        // From the ghost on, so that the rest is a path whose ends close the polygon.
+        ring.rotate_left(at);
+        ring.remove(0);
+    }
+    for tet in shell.iter() {
+        let vertices = store.vertices(tet.tet);
+        plan.old.push(tet.tet);
+        if !vertices.contains(&VertexId::GHOST) {
+            plan.old_grade = plan.old_grade.min(grade_of(store, measure, vertices));
+        }
+    }
+    let count = ring.len();
+    if count < 3 {
+        return Outcome::NotApplicable;
+    }
+    let threshold = accept.threshold(plan.old_grade);
+    let reader = &*store;
+    plan.new_grade = triangulation.solve(count, threshold, |i, j, k, bound| {
+        let upper = grade_of(reader, measure, [ring[i], ring[j], ring[k], b]);
+        if upper <= bound { upper } else { upper.min(grade_of(reader, measure, [ring[i], ring[k], ring[j], a])) }
+    });
+    if plan.new_grade <= threshold {
+        return Outcome::WorsensQuality;
+    }
+    triangulation.visit(count, |i, j, k| {
+        plan.new.extend([[ring[i], ring[j], ring[k], b], [ring[i], ring[k], ring[j], a]]);
+    });
+    if ghost_at.is_some() {
+        let (first, last) = (ring[0], ring[count - 1]);
+        plan.new.extend([[last, VertexId::GHOST, first, b], [last, first, VertexId::GHOST, a]]);
+    }
+    if plan.is_positive(store) { Outcome::Accepted } else { Outcome::WouldInvert }
+}
+
+/// Claims and lists the closed shell of an edge; the plan is reset.
+fn collect_ring<S: TetStore + ?Sized>(
+    store: &mut S,
+    start: ShellTet,
+    limit: usize,
+    scratch: &mut FlipScratch,
+) -> Outcome {
+    match claim_finite(store, start.tet) {
+        Outcome::Accepted => {}
+        other => return other,
+    }
+    if store.is_edge_constrained(start.tet, start.a, start.b) {
+        return Outcome::Constrained;
+    }
+    match collect_shell(store, start, limit, &mut scratch.shell) {
+        ShellKind::Closed => {}
+        ShellKind::Open => return Outcome::Constrained,
+        ShellKind::TooLarge => return Outcome::NotApplicable,
+    }
+    let label = store.label(start.tet);
+    scratch.plan.reset(label);
+    scratch.ring.clear();
+    for at in 0..scratch.shell.len() {
+        let tet = scratch.shell[at];
+        let apex = store.vertices(tet.tet)[tet.c];
+        let leaves_hull = !apex.is_ghost() && !store.is_ghost_tet(tet.tet) && store.label(tet.tet) != label;
+        if store.is_face_constrained(TetFace::new(tet.tet, tet.c)) || leaves_hull {
+            return Outcome::Constrained;
+        }
+        if !store.try_claim(apex) {
+            return Outcome::ClaimLost;
+        }
+        scratch.ring.push(apex);
+    }
+    Outcome::Accepted
+}
+
+/// A face between the two apexes of a multi-face removal.
+#[derive(Clone, Copy)]
+struct Sandwich {
+    upper: TetId,
+    lower: TetId,
+    /// Outward from the upper tet.
+    face: [VertexId; 3],
+}
+
+/// Plans a multi-face removal that starts at `side`: the face and all neighbouring faces between the same two apexes,
+/// as far as it helps, are replaced by the edge between the apexes.
+pub fn plan_face_removal<S: TetStore + ?Sized, M: TetMeasure>(
+    store: &mut S,
+    side: TetFace,
+    measure: &M,
+    accept: Accept,
+    scratch: &mut FlipScratch,
+) -> Outcome {
+    match claim_finite(store, side.tet()) {
+        Outcome::Accepted => {}
+        other => return other,
+    }
+    let other = store.neighbor(side);
+    if other == TetFace::NONE
+        || store.is_face_constrained(side)
+        || store.label(side.tet()) != store.label(other.tet())
+        || store.is_ghost_tet(other.tet())
+    {
+        return Outcome::Constrained;
+    }
+    let apexes = [store.apex(side), store.apex(other)];
+    if !store.try_claim(apexes[1]) {
+        return Outcome::ClaimLost;
+    }
+    let root = Sandwich { upper: side.tet(), lower: other.tet(), face: store.face_vertices(side) };
+    let mut growth = Growth { store, measure, apexes, faces: [root; MAX_SANDWICH], count: 1, old_grade: f64::INFINITY };
+    growth.old_grade = growth.grade_pair(&root);
+    let plan = &mut scratch.plan;
+    plan.reset(growth.store.label(root.upper));
+    let mut new_grade = f64::INFINITY;
+    for edge in 0..3 {
+        let [u, w] = [root.face[edge], root.face[(edge + 1) % 3]];
+        match growth.close_edge(&root, u, w, &mut plan.new) {
+            Ok(grade) => new_grade = new_grade.min(grade),
+            Err(outcome) => return outcome,
+        }
+        if new_grade <= 0.0 {
+            return Outcome::WouldInvert;
+        }
+    }
+    plan.old_grade = growth.old_grade;
+    plan.new_grade = new_grade;
+    plan.old.extend(growth.faces[..growth.count].iter().flat_map(|f| [f.upper, f.lower]));
+    let threshold = accept.threshold(plan.old_grade);
+    if new_grade <= 0.0 {
+        Outcome::WouldInvert
+    } else if new_grade <= threshold {
+        Outcome::WorsensQuality
+    } else if plan.is_positive(store) {
+        Outcome::Accepted
+    } else {
+        Outcome::WouldInvert
+    }
+}
+
+/// A multi-face removal that grows over the edges of its faces.
+struct Growth<'a, S: ?Sized, M> {
+    store: &'a mut S,
+    measure: &'a M,
+    apexes: [VertexId; 2],
+    faces: [Sandwich; MAX_SANDWICH],
+    count: usize,
+    old_grade: f64,
+}
+
+impl<S: TetStore + ?Sized, M: TetMeasure> Growth<'_, S, M> {
+    fn grade_pair(&self, face: &Sandwich) -> f64 {
+        let grade = |tet| grade_of(self.store, self.measure, self.store.vertices(tet));
+        grade(face.upper).min(grade(face.lower))
+    }
+
+    /// The best way to close the border edge `u w` of a face: the tet u w and the apexes, or the face beyond the edge
+    /// and its two other edges. Appends the new tets and returns their worst grade.
+    fn close_edge(
+        &mut self,
+        face: &Sandwich,
+        u: VertexId,
+        w: VertexId,
+        new: &mut Vec<[VertexId; 4]>,
+    ) -> std::result::Result<f64, Outcome> {
+        let [above, below] = self.apexes;
+        let direct = [u, w, above, below];
+        let direct_grade = grade_of(self.store, self.measure, direct);
+        let child = match self.face_beyond(face, u, w)? {
+            Some(child) if self.count < MAX_SANDWICH => child,
+            _ => {
+                new.push(direct);
+                return Ok(direct_grade);
+            }
+        };
+        // Taking the child replaces its two tets as well: worth it where what comes is better than the direct tet.
+        let child_old = self.grade_pair(&child);
+        let (mark, count) = (new.len(), self.count);
+        let before = self.old_grade;
+        self.faces[self.count] = child;
+        self.count += 1;
+        let x = child.face[2];
+        let mut grade = f64::INFINITY;
+        for [p, q] in [[u, x], [x, w]] {
+            grade = grade.min(self.close_edge(&child, p, q, new)?);
+            if grade <= direct_grade {
+                break;
+            }
+        }
+        if grade > direct_grade {
+            self.old_grade = self.old_grade.min(child_old);
+            return Ok(grade);
+        }
+        new.truncate(mark);
+        self.count = count;
+        self.old_grade = before;
+        new.push(direct);
+        Ok(direct_grade)
+    }
+
+    /// The face beyond the edge `u w` that lies between the same apexes, if any: `[u', w', x]` outward from its upper
+    /// tet with x the new vertex.
+    fn face_beyond(
+        &mut self,
+        face: &Sandwich,
+        u: VertexId,
+        w: VertexId,
+    ) -> std::result::Result<Option<Sandwich>, Outcome> {
+        let third = face.face.into_iter().find(|v| *v != u && *v != w).unwrap_or(u);
+        let beyond = |store: &S, tet: TetId| -> Option<(TetId, VertexId)> {
+            let local = store.local_vertex(tet, third)?;
+            let side = TetFace::new(tet, local);
+            let other = store.neighbor(side);
+            let blocked = other == TetFace::NONE || store.is_face_constrained(side);
+            (!blocked).then(|| (other.tet(), store.apex(other)))
+        };
+        let (Some((upper, x)), Some((lower, y))) = (beyond(self.store, face.upper), beyond(self.store, face.lower))
+        else {
+            return Ok(None);
+        };
+        if x != y || x.is_ghost() || self.faces[..self.count].iter().any(|f| f.upper == upper || f.lower == lower) {
+            return Ok(None);
+        }
+        // The edge u w itself disappears when both sides of it go; the three faces at it must be free.
+        let Some(side) = self.store.local_vertex(upper, self.apexes[0]).map(|local| TetFace::new(upper, local)) else {
+            return Ok(None);
+        };
+        let row = self.store.vertices(upper);
+        let (Some(lu), Some(lw)) = (row.iter().position(|v| *v == u), row.iter().position(|v| *v == w)) else {
+            return Ok(None);
+        };
+        if self.store.neighbor(side).tet() != lower
+            || self.store.is_face_constrained(side)
+            || self.store.is_edge_constrained(upper, lu, lw)
+        {
+            return Ok(None);
+        }
+        if !self.store.try_claim(x) {
+            return Err(Outcome::ClaimLost);
+        }
+        Ok(Some(Sandwich { upper, lower, face: [w, u, x] }))
+    }
+}
+
+/// Where a point lies in a tet: the smallest feature that contains it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Feature {
+    /// Strictly inside the tet.
+    Tet(TetId),
+    /// On a face.
+    Face(TetFace),
+    /// On an edge, by local vertices.
+    Edge(TetId, usize, usize),
+    /// On a vertex.
+    Vertex(VertexId),
+}
+
+/// Plans the insertion of `vertex` (whose point is set) at a feature: flips 1-4, 2-6 and n-2n.
+pub fn plan_insertion<S: TetStore + ?Sized, M: TetMeasure>(
+    store: &mut S,
+    feature: Feature,
+    vertex: VertexId,
+    measure: &M,
+    scratch: &mut FlipScratch,
+) -> Outcome {
+    let tet = match feature {
+        Feature::Tet(tet) | Feature::Edge(tet, ..) => tet,
+        Feature::Face(side) => side.tet(),
+        Feature::Vertex(_) => return Outcome::NotApplicable,
+    };
+    match claim_finite(store, tet) {
+        Outcome::Accepted => {}
+        other => return other,
+    }
+    let row = store.vertices(tet);
+    let label = store.label(tet);
+    let mut on_feature = [true; 4];
+    scratch.plan.reset(label);
+    match feature {
+        Feature::Face(side) => {
+            let other = store.neighbor(side);
+            if other == TetFace::NONE || store.is_face_constrained(side) || store.is_ghost_tet(other.tet()) {
+                return Outcome::Constrained;
+            }
+            if !store.try_claim(store.apex(other)) {
+                return Outcome::ClaimLost;
+            }
+            on_feature[side.face()] = false;
+            scratch.plan.old.extend([tet, other.tet()]);
+        }
+        Feature::Edge(_, a, b) => {
+            let outcome = collect_ring(store, ShellTet::new(tet, a, b), usize::MAX, scratch);
+            if outcome != Outcome::Accepted {
+                return outcome;
+            }
+            if scratch.ring.iter().any(|v| v.is_ghost()) {
+                return Outcome::Constrained;
+            }
+            on_feature = [false; 4];
+            (on_feature[a], on_feature[b]) = (true, true);
+            scratch.plan.old.extend(scratch.shell.iter().map(|s| s.tet));
+        }
+        _ => scratch.plan.old.push(tet),
+    }
+    let plan = &mut scratch.plan;
+    for at in 0..plan.old.len() {
+        let vertices = store.vertices(plan.old[at]);
+        plan.old_grade = plan.old_grade.min(grade_of(store, measure, vertices));
+        for local in 0..4 {
+            if row.iter().zip(on_feature).any(|(v, on)| on && *v == vertices[local]) {
+                let mut new = vertices;
+                new[local] = vertex;
+                plan.new_grade = plan.new_grade.min(grade_of(store, measure, new));
+                plan.new.push(new);
+            }
+        }
+    }
+    if plan.is_positive(store) { Outcome::Accepted } else { Outcome::WouldInvert }
+}
+
+/// Plans the removal of `vertex` by contraction onto its neighbour `target`: with a ball of four tets the flip 4-1, of
+/// a face's six the flip 6-2, of an edge's the flip 2n-n.
+pub fn plan_contraction<S: TetStore + ?Sized, M: TetMeasure>(
+    store: &mut S,
+    vertex: VertexId,
+    target: VertexId,
+    measure: &M,
+    accept: Accept,
+    scratch: &mut FlipScratch,
+) -> Outcome {
+    let outcome = claim_ball(store, vertex, scratch);
+    if outcome != Outcome::Accepted {
+        return outcome;
+    }
+    contract_claimed(store, vertex, target, measure, accept, scratch)
+}
+
+/// Plans the removal of `vertex` by the best contraction onto any neighbour.
+pub fn plan_vertex_removal<S: TetStore + ?Sized, M: TetMeasure>(
+    store: &mut S,
+    vertex: VertexId,
+    measure: &M,
+    accept: Accept,
+    scratch: &mut FlipScratch,
+) -> Outcome {
+    let outcome = claim_ball(store, vertex, scratch);
+    if outcome != Outcome::Accepted {
+        return outcome;
+    }
+    scratch.ring.clear();
+    for &tet in &scratch.ball {
+        for v in store.vertices(tet) {
+            if v != vertex && !scratch.ring.contains(&v) {
+                scratch.ring.push(v);
+            }
+        }
+    }
+    let (mut best, mut bound, mut last) = (None, accept, Outcome::WouldInvert);
+    for at in 0..scratch.ring.len() {
+        let target = scratch.ring[at];
+        last = contract_claimed(store, vertex, target, measure, bound, scratch);
+        if last == Outcome::Accepted {
+            best = Some(target);
+            bound = Accept::Above(scratch.plan.new_grade);
+        }
+    }
+    match best {
+        Some(target) => contract_claimed(store, vertex, target, measure, accept, scratch),
+        None => last,
+    }
+}
+
+/// Claims the whole ball of a vertex that no constraint touches, and lists it.
+fn claim_ball<S: TetStore + ?Sized>(store: &mut S, vertex: VertexId, scratch: &mut FlipScratch) -> Outcome {
+    if !store.try_claim(vertex) {
+        return Outcome::ClaimLost;
+    }
+    let Some(start) = store.tet_of(vertex).some() else { return Outcome::NotApplicable };
+    collect_ball(store, vertex, start, &mut scratch.ball);
+    if scratch.ball.len() > MAX_BALL {
+        return Outcome::NotApplicable;
+    }
+    let label = store.label(start);
+    for at in 0..scratch.ball.len() {
+        let tet = scratch.ball[at];
+        if store.label(tet) != label || touches_constraint(store, tet, vertex) {
+            return Outcome::Constrained;
+        }
+        for v in store.vertices(tet) {
+            if v.is_ghost() {
+                return Outcome::Constrained;
+            }
+            if !store.try_claim(v) {
+                return Outcome::ClaimLost;
+            }
+        }
+    }
+    Outcome::Accepted
+}
+
+/// Whether a constrained face or edge of `tet`, or the end of the mesh, is at `vertex`.
+pub fn touches_constraint<S: TetStore + ?Sized>(store: &S, tet: TetId, vertex: VertexId) -> bool {
+    let Some(local) = store.local_vertex(tet, vertex) else { return false };
+    let (flags, neighbors) = (store.flags(tet), store.neighbors(tet));
+    (0..4).any(|other| {
+        other != local
+            && (flags.is_face_constrained(other)
+                || neighbors[other] == TetFace::NONE
+                || store.is_edge_constrained(tet, local, other))
+    })
+}
+
+fn contract_claimed<S: TetStore + ?Sized, M: TetMeasure>(
+    store: &S,
+    vertex: VertexId,
+    target: VertexId,
+    measure: &M,
+    accept: Accept,
+    scratch: &mut FlipScratch,
+) -> Outcome {
+    let FlipScratch { plan, ball, .. } = scratch;
+    plan.reset(store.label(ball[0]));
+    for &tet in ball.iter() {
+        plan.old_grade = plan.old_grade.min(grade_of(store, measure, store.vertices(tet)));
+        plan.old.push(tet);
+    }
+    let threshold = accept.threshold(plan.old_grade);
+    for &tet in ball.iter() {
+        let row = store.vertices(tet);
+        if row.contains(&target) {
+            continue;
+        }
+        let new = row.map(|v| if v == vertex { target } else { v });
+        let grade = grade_of(store, measure, new);
+        plan.new_grade = plan.new_grade.min(grade);
+        if grade <= threshold {
+            return if grade <= 0.0 { Outcome::WouldInvert } else { Outcome::WorsensQuality };
+        }
+        plan.new.push(new);
+    }
+    plan.removed_vertex = Some(vertex);
+    if plan.new.len() < plan.old.len() && plan.is_positive(store) { Outcome::Accepted } else { Outcome::WouldInvert }
+}
+
+/// Carries out the plan in `scratch`: deletes the old tets, creates and glues the new ones, keeps every constraint of
+/// the border. `scratch.created` lists the new tets.
+///
+/// # Errors
+/// `LimitReached` (nothing is changed) where the store has no room; `Internal` where the plan does not fill the border.
+pub fn commit<S: TetStore + ?Sized>(store: &mut S, scratch: &mut FlipScratch) -> Result<()> {
+    let FlipScratch { plan, open, edges, created, .. } = scratch;
+    if !store.has_room(plan.new.len()) {
+        return Err(Error::LimitReached { reason: "no room for more tets in this pass".into() });
+    }
+    open.clear();
+    edges.clear();
+    created.clear();
+    for &tet in &plan.old {
+        collect_border(store, tet, &plan.old, open, edges);
+    }
+    for &tet in &plan.old {
+        store.delete_tet(tet);
+    }
+    for &vertices in &plan.new {
+        let tet = store.create_tet(vertices, plan.label)?;
+        created.push(tet);
+        glue_faces(store, tet, vertices, open);
+        if !edges.is_empty() {
+            mark_edges(store, tet, vertices, edges);
+        }
+    }
+    if let Some(vertex) = plan.removed_vertex {
+        store.set_tet_of(vertex, TetId::NONE);
+    }
+    debug_assert!(open.iter().all(|f| f.side == TetFace::NONE), "the plan fills its border");
+    Ok(())
+}
+
+#[inline]
+fn sorted3([a, b, c]: [VertexId; 3]) -> [VertexId; 3] {
+    let (low, high) = if a < b { (a, b) } else { (b, a) };
+    if c < low {
+        [c, low, high]
+    } else if c < high {
+        [low, c, high]
+    } else {
+        [low, high, c]
+    }
+}
+
+#[inline]
+fn collect_border<S: TetStore + ?Sized>(
+    store: &S,
+    tet: TetId,
+    old: &[TetId],
+    open: &mut Vec<OpenFace>,
+    edges: &mut Vec<[VertexId; 2]>,
+) {
+    let (row, neighbors, flags) = (store.vertices(tet), store.neighbors(tet), store.flags(tet));
+    for face in 0..4 {
+        let side = neighbors[face];
+        if side != TetFace::NONE && old.contains(&side.tet()) {
+            continue;
+        }
+        let sorted = sorted3([row[(face + 1) & 3], row[(face + 2) & 3], row[(face + 3) & 3]]);
+        open.push(OpenFace { sorted, side, constrained: flags.is_face_constrained(face) });
+    }
+    if flags.has_constrained_edge() {
+        for (edge, [i, j]) in TET_EDGES.into_iter().enumerate() {
+            if flags.is_edge_constrained(edge) && !edges.contains(&[row[i], row[j]]) {
+                edges.push([row[i], row[j]]);
+            }
+        }
+    }
+}
+
+#[inline]
+fn glue_faces<S: TetStore + ?Sized>(store: &mut S, tet: TetId, row: [VertexId; 4], open: &mut Vec<OpenFace>) {
+    let mut flags = store.flags(tet);
+    let before = flags;
+    for face in 0..4 {
+        let sorted = sorted3([row[(face + 1) & 3], row[(face + 2) & 3], row[(face + 3) & 3]]);
+        let mine = TetFace::new(tet, face);
+        match open.iter().position(|f| f.sorted == sorted) {
+            Some(at) => {
+                let partner = open.swap_remove(at);
+                flags = flags.with_face(face, partner.constrained);
+                if partner.side != TetFace::NONE {
+                    store.glue(mine, partner.side);
+                }
+            }
+            None => open.push(OpenFace { sorted, side: mine, constrained: false }),
+        }
+    }
+    if flags != before {
+        store.set_flags(tet, flags);
+    }
+}
+
+fn mark_edges<S: TetStore + ?Sized>(store: &mut S, tet: TetId, row: [VertexId; 4], edges: &[[VertexId; 2]]) {
+    let mut flags = store.flags(tet);
+    for (edge, [i, j]) in TET_EDGES.into_iter().enumerate() {
+        if edges.iter().any(|e| *e == [row[i], row[j]] || *e == [row[j], row[i]]) {
+            flags = flags.with_edge(edge, true);
+        }
+    }
+    store.set_flags(tet, flags);
+}
+
+/// Plans and carries out the removal of an edge at any price in quality: the n-m flip in its recursive form. Where the
+/// ring has no valid triangulation, edges from the ends of the edge to its ring are removed first, `depth` levels deep.
+///
+/// # Errors
+/// As [`commit`].
+pub fn remove_edge_recursive<S: TetStore + ?Sized>(
+    store: &mut S,
+    start: ShellTet,
+    limit: usize,
+    depth: usize,
+    scratch: &mut FlipScratch,
+) -> Result<Outcome> {
+    use crate::conforming::flip_criteria::AnyPositive;
+    let row = store.vertices(start.tet);
+    let ends = [row[start.a], row[start.b]];
+    let mut current = start;
+    let mut attempts = limit;
+    loop {
+        let outcome = plan_edge_removal(store, current, limit, &AnyPositive, Accept::Valid, scratch);
+        if outcome == Outcome::Accepted {
+            commit(store, scratch)?;
+            return Ok(outcome);
+        }
+        if depth == 0 || attempts == 0 || matches!(outcome, Outcome::Constrained | Outcome::ClaimLost) {
+            return Ok(outcome);
+        }
+        attempts -= 1;
+        let mut shell = Vec::new();
+        if collect_shell(store, current, 4 * MAX_SHELL, &mut shell) != ShellKind::Closed {
+            return Ok(outcome);
+        }
+        let mut removed = false;
+        'ring: for spoke in &shell {
+            for end in [spoke.a, spoke.b] {
+                let side_edge = ShellTet::new(spoke.tet, end, spoke.c);
+                if remove_edge_recursive(store, side_edge, limit, depth - 1, scratch)? == Outcome::Accepted {
+                    removed = true;
+                    break 'ring;
+                }
+            }
+        }
+        let mut ball = Vec::new();
+        match crate::mesh::topology::find_edge(store, ends[0], ends[1], &mut ball) {
+            None => return Ok(Outcome::Accepted),
+            Some(found) if removed => current = found,
+            Some(_) => return Ok(outcome),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::conforming::flip_criteria::{AnyPositive, BiasedSine};
+    use crate::mesh::tet_complex::TetComplex;
+    use crate::mesh::topology::find_edge;
+    use glam::DVec3;
+
+    /// `n` tets around the edge 0 1.
+    fn wheel(n: u32) -> TetComplex {
+        let mut points = vec![DVec3::ZERO, DVec3::Z];
+        points.extend((0..n).map(|i| {
+            let angle = f64::from(i) / f64::from(n) * std::f64::consts::TAU;
+            DVec3::new(angle.cos(), angle.sin(), 0.45 + 0.1 * f64::from(i % 2))
+        }));
+        let mut complex = TetComplex::with_points(points).unwrap();
+        for i in 0..n {
+            complex.create_tet([0, 1, 2 + i, 2 + (i + 1) % n].map(VertexId), Label(1)).unwrap();
+        }
+        complex.pair_faces().unwrap();
+        complex
+    }
+
+    fn volume(complex: &TetComplex) -> f64 {
+        complex.finite_tets().map(|t| crate::geometry::tetrahedron::volume(complex.points_of(t))).sum()
+    }
+
+    fn assert_valid(complex: &TetComplex, expected: f64) {
+        complex.check_invariants().unwrap();
+        complex.check_orientation().unwrap();
+        assert!((volume(complex) - expected).abs() < 1e-12);
+    }
+
+    fn edge(complex: &TetComplex, a: u32, b: u32) -> Option<ShellTet> {
+        find_edge(complex, VertexId(a), VertexId(b), &mut Vec::new())
+    }
+
+    #[test]
+    fn edge_removal_and_face_removal_are_inverse() {
+        for n in 3..=10 {
+            let mut complex = wheel(n);
+            let before = volume(&complex);
+            let mut scratch = FlipScratch::default();
+            let start = edge(&complex, 0, 1).unwrap();
+            let outcome = plan_edge_removal(&mut complex, start, 10, &BiasedSine, Accept::Valid, &mut scratch);
+            assert_eq!(outcome, Outcome::Accepted);
+            commit(&mut complex, &mut scratch).unwrap();
+            assert_eq!(complex.live_count(), 2 * n as usize - 4);
+            assert!(edge(&complex, 0, 1).is_none());
+            assert_valid(&complex, before);
+            // Any face of the ring's triangulation leads back to the edge.
+            let tet = complex.finite_tets().find(|&t| complex.local_vertex(t, VertexId(1)).is_some()).unwrap();
+            let side = TetFace::new(tet, complex.local_vertex(tet, VertexId(1)).unwrap());
+            let outcome = plan_face_removal(&mut complex, side, &AnyPositive, Accept::Valid, &mut scratch);
+            if n <= 4 {
+                assert_eq!(outcome, Outcome::Accepted, "n = {n}");
+                commit(&mut complex, &mut scratch).unwrap();
+                assert_valid(&complex, before);
+            }
+        }
+    }
+
+    #[test]
+    fn flip_23_keeps_volume_and_constraints() {
+        let mut complex = wheel(3);
+        let mut scratch = FlipScratch::default();
+        let start = edge(&complex, 0, 1).unwrap();
+        let border = TetFace::new(start.tet, start.a);
+        complex.constrain_face(border, true);
+        let mut vertices = complex.face_vertices(border);
+        vertices.sort_unstable();
+        let before = volume(&complex);
+        assert_eq!(
+            plan_edge_removal(&mut complex, start, 10, &BiasedSine, Accept::Valid, &mut scratch),
+            Outcome::Accepted
+        );
+        commit(&mut complex, &mut scratch).unwrap();
+        let constrained = |complex: &TetComplex| {
+            let mut found = Vec::new();
+            for tet in complex.live_tets() {
+                found.extend((0..4).filter(|&f| complex.flags(tet).is_face_constrained(f)).map(|f| {
+                    let mut face = complex.face_vertices(TetFace::new(tet, f));
+                    face.sort_unstable();
+                    face
+                }));
+            }
+            found
+        };
+        assert_eq!(constrained(&complex), [vertices]);
+        let tet = complex.live_tets().next().unwrap();
+        let inner = (0..4).map(|f| TetFace::new(tet, f)).find(|&s| complex.neighbor(s) != TetFace::NONE).unwrap();
+        assert_eq!(plan_23(&mut complex, inner, &BiasedSine, Accept::Valid, &mut scratch), Outcome::Accepted);
+        commit(&mut complex, &mut scratch).unwrap();
+        assert_eq!(constrained(&complex), [vertices]);
+        assert_valid(&complex, before);
+        assert_eq!(complex.live_count(), 3);
+    }
+
+    #[test]
+    fn constrained_edges_are_kept() {
+        let mut complex = wheel(5);
+        for tet in complex.live_tets().collect::<Vec<_>>() {
+            let flags = complex.flags(tet).with_edge(0, true);
+            complex.set_flags(tet, flags);
+        }
+        let start = edge(&complex, 0, 1).unwrap();
+        let mut scratch = FlipScratch::default();
+        let outcome = plan_edge_removal(&mut complex, start, 10, &BiasedSine, Accept::Valid, &mut scratch);
+        assert_eq!(outcome, Outcome::Constrained);
+    }
+
+    #[test]
+    fn insertion_and_contraction_are_inverse() {
+        for kind in 0..3 {
+            let mut complex = wheel(6);
+            let before = volume(&complex);
+            let start = edge(&complex, 0, 1).unwrap();
+            let corners = complex.points_of(start.tet);
+            let (point, feature, count) = match kind {
+                0 => (corners.iter().sum::<DVec3>() / 4.0, Feature::Tet(start.tet), 4 - 1),
+                1 => {
+                    let side = TetFace::new(start.tet, start.c);
+                    let face = complex.face_vertices(side).map(|v| complex.point(v));
+                    (face.iter().sum::<DVec3>() / 3.0, Feature::Face(side), 6 - 2)
+                }
+                _ => (DVec3::new(0.0, 0.0, 0.5), Feature::Edge(start.tet, start.a, start.b), 6),
+            };
+            let vertex = complex.push_point(point).unwrap();
+            let mut scratch = FlipScratch::default();
+            let outcome = plan_insertion(&mut complex, feature, vertex, &BiasedSine, &mut scratch);
+            assert_eq!(outcome, Outcome::Accepted);
+            commit(&mut complex, &mut scratch).unwrap();
+            assert_eq!(complex.live_count(), 6 + count);
+            assert_valid(&complex, before);
+            let outcome = plan_vertex_removal(&mut complex, vertex, &BiasedSine, Accept::Valid, &mut scratch);
+            assert_eq!(outcome, Outcome::Accepted);
+            commit(&mut complex, &mut scratch).unwrap();
+            assert_eq!(complex.live_count(), 6);
+            assert_valid(&complex, before);
+        }
+    }
+
+    #[test]
+    fn hull_diagonal_flips_only_when_coplanar() {
+        // A square pyramid whose base is two hull faces, closed by ghosts.
+        for lift in [0.0, -0.1] {
+            let points = [[0.0, 0.0, 0.0], [1.0, 0.0, lift], [1.0, 1.0, 0.0], [0.0, 1.0, lift], [0.5, 0.5, 1.0]];
+            let mut complex = TetComplex::with_points(points.map(DVec3::from_array).to_vec()).unwrap();
+            for row in [[0, 1, 2, 4], [0, 2, 3, 4]] {
+                complex.create_tet(row.map(VertexId), Label(0)).unwrap();
+            }
+            let hull = [[0, 2, 1], [0, 3, 2], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]];
+            for [a, b, c] in hull {
+                complex.create_tet([VertexId(a), VertexId(b), VertexId(c), VertexId::GHOST], Label(0)).unwrap();
+            }
+            complex.pair_faces().unwrap();
+            complex.rebuild_vertex_tets();
+            let start = edge(&complex, 0, 2).unwrap();
+            let start = if complex.is_ghost_tet(start.tet) { start.next(&complex).unwrap() } else { start };
+            let start = if complex.is_ghost_tet(start.tet) { start.next(&complex).unwrap() } else { start };
+            let mut scratch = FlipScratch::default();
+            let outcome = plan_edge_removal(&mut complex, start, 10, &AnyPositive, Accept::Valid, &mut scratch);
+            if lift == 0.0 {
+                assert_eq!(outcome, Outcome::Accepted);
+                commit(&mut complex, &mut scratch).unwrap();
+                assert!(edge(&complex, 1, 3).is_some() && edge(&complex, 0, 2).is_none());
+                complex.check_invariants().unwrap();
+                complex.check_orientation().unwrap();
+            } else {
+                assert_eq!(outcome, Outcome::Constrained);
+            }
+        }
+    }
+}
