@@ -272,3 +272,53 @@ fn clamp_to_reference(kind: ElementKind, at: DVec3) -> DVec3 {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fem::shape_functions::reference_nodes;
+    use crate::mesh::mixed_mesh::MixedMesh;
+
+    fn one_element(kind: ElementKind) -> MixedMesh {
+        let map = |p: DVec3| DVec3::new(2.0 * p.x + 0.3 * p.y, 1.5 * p.y, p.z + 0.2 * p.x * p.y + 5.0);
+        MixedMesh {
+            points: reference_nodes(kind).into_iter().map(map).collect(),
+            types: vec![kind.vtk_type()],
+            offsets: vec![0, kind.node_count() as i64],
+            connectivity: (0..kind.node_count()).map(VertexId::from_index).collect(),
+            labels: vec![1],
+            ..MixedMesh::default()
+        }
+    }
+
+    #[test]
+    fn a_point_is_found_and_reproduced_in_every_kind() {
+        for kind in [
+            ElementKind::Tet,
+            ElementKind::Hexahedron,
+            ElementKind::Wedge,
+            ElementKind::Pyramid,
+            ElementKind::QuadraticTet,
+            ElementKind::QuadraticHexahedron,
+        ] {
+            let mesh = one_element(kind);
+            let locator = PointLocator::new(ElementMesh::from_mixed(&mesh)).unwrap();
+            let reference = reference_center(kind) + DVec3::new(0.05, 0.1, 0.07);
+            let shape = shape_functions(kind, reference);
+            let point: DVec3 = mesh.points.iter().zip(shape.values).map(|(p, v)| *p * v).sum();
+            let found = locator.locate(point).unwrap_or_else(|| panic!("{kind:?}"));
+            assert!((found.reference - reference).length() < 1e-9, "{kind:?}");
+            assert!((locator.position(&found) - point).length() < 1e-12);
+            assert!(locator.locate(point + DVec3::X * 50.0).is_none());
+            let near = locator.locate_near(mesh.points[0] - DVec3::splat(0.01), 1.0).expect("within the distance");
+            assert!((locator.position(&near) - mesh.points[0]).length() < 0.1, "{kind:?}");
+        }
+    }
+
+    #[test]
+    fn a_point_that_is_not_finite_is_outside() {
+        let mesh = one_element(ElementKind::Tet);
+        let locator = PointLocator::new(ElementMesh::from_mixed(&mesh)).unwrap();
+        assert!(locator.locate(DVec3::NAN).is_none() && locator.locate_near(DVec3::INFINITY, 1.0).is_none());
+    }
+}
