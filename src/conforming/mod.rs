@@ -14,11 +14,16 @@
 //! The surface's points are the first points of the mesh, bit for bit, in their order (equal points merged, unused
 //! ones left out); every facet is a face of the mesh; no other point lies on the surface.
 
+mod cavity;
+pub mod delaunay_kernel;
+mod delaunay_parallel;
 pub mod fault_picture;
 pub mod flip_criteria;
 pub mod flips;
 pub mod input_check;
+mod kernel_mesh;
 pub mod options;
+mod point_location;
 pub mod report;
 
 #[cfg(test)]

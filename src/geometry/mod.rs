@@ -7,8 +7,10 @@
 pub mod aabb_tree;
 pub mod bounding_box;
 pub mod intersection;
+pub mod perturbation;
 pub mod point_grid;
 pub mod predicates;
 pub mod segment;
+pub mod spatial_sort;
 pub mod tetrahedron;
 pub mod triangle;

@@ -9,11 +9,33 @@
 //!          \ | /
 //!            b          insphere(a, b, c, d, e) > 0 when e lies inside the sphere of a positive tet a b c d.
 //! ```
+//! 1. A floating-point determinant of the coordinates relative to one point.
+//! 2. Semi-static filter: its error is below a constant times the product of the largest relative coordinates by
+//!    axis (and the largest squared distance). A caller that knows the extent of all its points can put the same
+//!    bound of the extent in front ([`insphere_error_bound`]), which costs one comparison.
+//! 3. Where the filter cannot decide: adaptive exact arithmetic.
 //! # Source
-//! [Shewchuk1997], through the crate `robust`.
+//! [Shewchuk1997], through the crate `robust`; the filter constants are derived below.
+//! # Invariants
+//! The sign is exact, zero included, for coordinates whose products neither overflow nor underflow. The magnitude is
+//! the determinant's up to rounding.
 
 use glam::DVec3;
 use robust::Coord3D;
+
+/// Half an ulp of 1.
+const EPSILON: f64 = f64::EPSILON / 2.0;
+
+/// A determinant of three differences a row: six products of three factors, each with at most 3 roundings of
+/// differences, 2 of products and 3 of sums: error <= 6 * 8 * epsilon * (products of maxima), with a margin of 1.3.
+const ORIENT_FACTOR: f64 = 64.0 * EPSILON;
+
+/// 24 products of three coordinates and a squared distance; a product carries at most 3 roundings of differences, 5 of
+/// the squared distance, and 9 of products and sums: error <= 24 * 17 * epsilon * (products of maxima), margin 1.5.
+const INSPHERE_FACTOR: f64 = 640.0 * EPSILON;
+
+/// Products may lose everything below the smallest normal number; far above that, far below any real determinant.
+const UNDERFLOW_GUARD: f64 = 1e-280;
 
 fn coord(point: DVec3) -> Coord3D<f64> {
     Coord3D { x: point.x, y: point.y, z: point.z }
@@ -22,14 +44,99 @@ fn coord(point: DVec3) -> Coord3D<f64> {
 /// Sign of the volume of the tet a b c d (six times the volume, magnitude approximate): positive in VTK's order.
 #[inline]
 pub fn orient3d(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
-    // `robust` follows [Shewchuk1997]: positive when d lies below the plane of a b c seen counter-clockwise.
+    let (p, q, r) = (a - d, b - d, c - d);
+    let det = -p.dot(q.cross(r));
+    let largest = p.abs().max(q.abs()).max(r.abs());
+    let bound = ORIENT_FACTOR * (largest.x * largest.y * largest.z) + UNDERFLOW_GUARD;
+    if det > bound || det < -bound { det } else { orient3d_exact(a, b, c, d) }
+}
+
+/// `robust` follows [Shewchuk1997]: positive when d lies below the plane of a b c seen counter-clockwise.
+#[cold]
+fn orient3d_exact(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     -robust::orient3d(coord(a), coord(b), coord(c), coord(d))
 }
 
 /// Positive when `e` lies inside the circumsphere of the positive tet a b c d, zero on it.
 #[inline]
 pub fn insphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
+    let rows = [LiftedPoint::new(a - e), LiftedPoint::new(b - e), LiftedPoint::new(c - e), LiftedPoint::new(d - e)];
+    let det = face_cofactors(&rows[0], &rows[1], &rows[2]).dot(&rows[3]);
+    let bound = insphere_row_bound(&rows);
+    if det > bound || det < -bound { det } else { insphere_exact(a, b, c, d, e) }
+}
+
+/// The same without a filter in front.
+#[cold]
+pub fn insphere_exact(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
     -robust::insphere(coord(a), coord(b), coord(c), coord(d), coord(e))
+}
+
+/// A point relative to the query point of an in-sphere test, with its squared distance.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct LiftedPoint {
+    /// Relative coordinates.
+    pub offset: DVec3,
+    /// Their squared norm.
+    pub lift: f64,
+}
+
+impl LiftedPoint {
+    /// Lifts an offset from the query point.
+    #[inline]
+    pub fn new(offset: DVec3) -> Self {
+        Self { offset, lift: offset.length_squared() }
+    }
+}
+
+/// The part of an in-sphere determinant that depends on one face: its product with the lifted apex is the determinant.
+#[derive(Debug, Clone, Copy)]
+pub struct FaceCofactors {
+    offset: DVec3,
+    lift: f64,
+}
+
+impl FaceCofactors {
+    /// The in-sphere determinant of the tet (face, apex): positive when the query point is inside.
+    #[inline]
+    pub fn dot(&self, apex: &LiftedPoint) -> f64 {
+        self.offset.dot(apex.offset) + self.lift * apex.lift
+    }
+}
+
+/// The cofactors of the face a b c of a tet (a, b, c, apex), positive, all relative to the query point.
+#[inline]
+pub fn face_cofactors(a: &LiftedPoint, b: &LiftedPoint, c: &LiftedPoint) -> FaceCofactors {
+    let (bc, ca, ab) = (b.offset.cross(c.offset), c.offset.cross(a.offset), a.offset.cross(b.offset));
+    // The determinant with rows (offset, lift) of a, b, c, apex, expanded by the apex; the sign makes "inside" positive.
+    FaceCofactors { offset: bc * a.lift + ca * b.lift + ab * c.lift, lift: -a.offset.dot(bc) }
+}
+
+/// A bound of the error of [`FaceCofactors::dot`] for rows whose coordinates are at most `largest` by axis and whose
+/// lifts are at most `lift`.
+#[inline]
+pub fn insphere_error_bound(largest: DVec3, lift: f64) -> f64 {
+    INSPHERE_FACTOR * (largest.x * largest.y * largest.z) * lift + UNDERFLOW_GUARD
+}
+
+/// The bound for four given rows.
+#[inline]
+pub fn insphere_row_bound(rows: &[LiftedPoint; 4]) -> f64 {
+    let [a, b, c, d] = rows;
+    let largest = a.offset.abs().max(b.offset.abs()).max(c.offset.abs().max(d.offset.abs()));
+    insphere_error_bound(largest, a.lift.max(b.lift).max(c.lift.max(d.lift)))
+}
+
+/// Whether three points lie on one line, exactly.
+pub fn are_collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
+    let plane = |u: fn(DVec3) -> (f64, f64)| {
+        let p = [a, b, c].map(|q| {
+            let (x, y) = u(q);
+            robust::Coord { x, y }
+        });
+        robust::orient2d(p[0], p[1], p[2]) == 0.0
+    };
+    plane(|p| (p.x, p.y)) && plane(|p| (p.y, p.z)) && plane(|p| (p.z, p.x))
 }
 
 #[cfg(test)]
@@ -45,5 +152,41 @@ mod tests {
         assert!(insphere(a, b, c, d, DVec3::splat(0.4)) > 0.0);
         assert!(insphere(a, b, c, d, DVec3::splat(2.0)) < 0.0);
         assert_eq!(insphere(a, b, c, d, DVec3::splat(1.0)), 0.0);
+    }
+
+    /// Deterministic numbers in [0, 1).
+    fn sequence(seed: u64) -> impl FnMut() -> f64 {
+        let mut state = seed;
+        move || {
+            state = crate::geometry::spatial_sort::mix(state.wrapping_add(0x9e37_79b9_7f4a_7c15));
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        }
+    }
+
+    #[test]
+    fn filters_never_contradict_exact_arithmetic() {
+        let mut next = sequence(5);
+        for case in 0..20_000 {
+            // From general position to nearly (and exactly) degenerate: small integers with a rare tiny shift.
+            let size = [1.0, 4.0, 1e6, 1e-6][case % 4];
+            let mut point = || {
+                let mut p = DVec3::new(next(), next(), next());
+                if case % 8 >= 4 {
+                    p = (p * 4.0).floor() + DVec3::splat(if next() < 0.2 { next() * 1e-15 } else { 0.0 });
+                }
+                p * size
+            };
+            let [a, b, c, d, e] = [point(), point(), point(), point(), point()];
+            let exact = orient3d_exact(a, b, c, d);
+            assert_eq!(orient3d(a, b, c, d).partial_cmp(&0.0), exact.partial_cmp(&0.0), "{a} {b} {c} {d}");
+            let exact = insphere_exact(a, b, c, d, e);
+            assert_eq!(insphere(a, b, c, d, e).partial_cmp(&0.0), exact.partial_cmp(&0.0), "{a} {b} {c} {d} {e}");
+        }
+    }
+
+    #[test]
+    fn collinear_points_are_found() {
+        assert!(are_collinear(DVec3::ZERO, DVec3::ONE, DVec3::splat(3.0)));
+        assert!(!are_collinear(DVec3::ZERO, DVec3::ONE, DVec3::new(3.0, 3.0, 3.0000000001)));
     }
 }
