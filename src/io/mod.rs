@@ -8,10 +8,19 @@
 //! # Invariants
 //! Images are read and written in LPS millimetres. Meshes keep the frame that their file states.
 
+mod aflr;
 mod atomic_file;
+mod file_mesh;
 mod metaimage;
 mod nifti;
 mod nrrd;
+mod obj;
+mod off;
+mod ply;
+mod polygon;
+mod stl;
+mod tetgen;
+mod text_scan;
 mod voxel_stream;
 
 use std::io::Read;
@@ -218,7 +227,64 @@ use map_voxels;
 /// # Errors
 /// [`Error::Io`], [`Error::Format`] with the line or byte, [`Error::Unsupported`] for an unknown ending.
 pub fn read_surface(path: &Path) -> Result<SurfaceMesh> {
-    Err(Error::Unsupported { reason: format!("{}: reading surfaces", path.display()) })
+    let name = |error| match error {
+        Error::InvalidInput { message, findings } => {
+            Error::InvalidInput { message: format!("{}: {message}", path.display()), findings }
+        }
+        other => other,
+    };
+    read_file_mesh(path)?.into_surface().map_err(name)
+}
+
+/// Reads any mesh or surface file.
+fn read_file_mesh(path: &Path) -> Result<file_mesh::FileMesh> {
+    match MeshFormat::of_path(path)? {
+        MeshFormat::Off => off::read(path),
+        MeshFormat::Obj => obj::read(path),
+        MeshFormat::Stl => stl::read(path),
+        MeshFormat::Ply => ply::read(path),
+        MeshFormat::Surf => aflr::read(path),
+        MeshFormat::Poly => tetgen::read(path, tetgen::FacetLists::Poly),
+        MeshFormat::Smesh => tetgen::read(path, tetgen::FacetLists::Smesh),
+        format => Err(Error::Unsupported { reason: format!("{}: {format:?} is not read", path.display()) }),
+    }
+}
+
+/// Endings of mesh and surface files.
+const MESH_ENDINGS: &[(&str, MeshFormat)] = &[
+    (".vtu", MeshFormat::Vtu),
+    (".vtp", MeshFormat::Vtp),
+    (".vtk", MeshFormat::Vtk42),
+    (".msh", MeshFormat::Msh41),
+    (".mesh", MeshFormat::Medit),
+    (".meshb", MeshFormat::MeditBinary),
+    (".stl", MeshFormat::Stl),
+    (".off", MeshFormat::Off),
+    (".obj", MeshFormat::Obj),
+    (".ply", MeshFormat::Ply),
+    (".surf", MeshFormat::Surf),
+    (".poly", MeshFormat::Poly),
+    (".smesh", MeshFormat::Smesh),
+    (".b8.ugrid", MeshFormat::UgridBig),
+    (".lb8.ugrid", MeshFormat::UgridLittle),
+    (".ugrid", MeshFormat::Ugrid),
+    (".su2", MeshFormat::Su2),
+    (".foam", MeshFormat::OpenFoam),
+];
+
+impl MeshFormat {
+    /// The format that the ending of a name stands for.
+    ///
+    /// # Errors
+    /// [`Error::Unsupported`] listing the endings.
+    pub fn of_path(path: &Path) -> Result<Self> {
+        let name = lower_name(path);
+        MESH_ENDINGS.iter().find(|(ending, _)| name.ends_with(ending)).map(|(_, format)| *format).ok_or_else(|| {
+            let known: Vec<&str> = MESH_ENDINGS.iter().map(|(ending, _)| *ending).collect();
+            let reason = format!("{}: unknown ending; meshes and surfaces end in {}", path.display(), known.join(" "));
+            Error::Unsupported { reason }
+        })
+    }
 }
 
 /// Writes a surface.
