@@ -54,7 +54,7 @@ typedef std::unique_ptr<mw_image, ImageCloser> ImageHandle;
 void BiomechanicalRegistration::setInputs(mw_context* context, mw_job* job)
 {
     const std::pair<const char*, const sofa::core::objectmodel::DataFileName*> slots[] = {
-        {"moving", &d_movingImage}, {"fixed", &d_fixedImage}, {"labels", &d_segmentedImage}};
+        {"moving", &d_movingImage}, {"fixed", &d_fixedImage}, {"segmentation", &d_segmentedImage}};
     for (const auto& [slot, file] : slots)
     {
         if (file->getValue().empty())
@@ -80,8 +80,9 @@ void BiomechanicalRegistration::clearOwnOutputs()
 namespace
 {
 
-void copyPoints(MeshwrightEngine::VecCoord& target, const double* xyz, int64_t count)
+void copyPoints(sofa::Data<MeshwrightEngine::VecCoord>& output, const double* xyz, int64_t count)
 {
+    auto target = sofa::helper::getWriteOnlyAccessor(output);
     target.clear();
     for (int64_t i = 0; i < count; ++i)
     {
@@ -100,18 +101,19 @@ void BiomechanicalRegistration::readOwnOutputs(mw_context*, mw_job* job)
     const void* data = nullptr;
     if (mw_mesh_array(mesh, 0, "displacement", &type, &components, &data) == MW_OK && type == MW_TYPE_F64 && components == 3)
     {
-        copyPoints(*sofa::helper::getWriteOnlyAccessor(d_outputDisplacements).operator->(), static_cast<const double*>(data),
-                   mw_mesh_point_count(mesh));
+        copyPoints(d_outputDisplacements, static_cast<const double*>(data), mw_mesh_point_count(mesh));
     }
     mw_mesh_destroy(mesh);
 
     for (const auto& [slot, output] : {std::pair{"source_points", &d_sourcePoints}, std::pair{"target_points", &d_targetPoints}})
     {
-        int64_t count = 0;
-        const double* xyz = nullptr;
-        if (mw_job_points(job, slot, &count, &xyz) == MW_OK)
+        mw_type type = 0;
+        int32_t components = 0;
+        int64_t rows = 0;
+        const void* data = nullptr;
+        if (mw_job_array(job, slot, &type, &components, &rows, &data) == MW_OK && type == MW_TYPE_F64 && components == 3)
         {
-            copyPoints(*sofa::helper::getWriteOnlyAccessor(*output).operator->(), xyz, count);
+            copyPoints(*output, static_cast<const double*>(data), rows);
         }
     }
     for (const auto& [slot, file] : {std::pair{"displacement", &d_outputField}, std::pair{"warped", &d_outputImage}})

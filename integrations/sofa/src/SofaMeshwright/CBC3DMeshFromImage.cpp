@@ -110,7 +110,7 @@ void CBC3DMeshFromImage::setInputs(mw_context* context, mw_job* job)
     const auto fidelities = sofa::helper::getReadAccessor(d_labelFidelity);
     for (std::size_t k = 0; k < labels.size(); ++k)
     {
-        if (k < sizes.size() && sizes[k] > 0.0) { check(mw_job_set_f64_for(job, "element-size", labels[k], sizes[k])); }
+        if (k < sizes.size() && sizes[k] > 0.0) { check(mw_job_set_f64_for(job, "max-element-size", labels[k], sizes[k])); }
         if (k < fidelities.size() && fidelities[k] > 0.0) { check(mw_job_set_f64_for(job, "fidelity", labels[k], fidelities[k])); }
     }
     const auto features = sofa::helper::getReadAccessor(d_features);

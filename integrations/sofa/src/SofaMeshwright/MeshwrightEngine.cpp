@@ -150,16 +150,15 @@ void MeshwrightEngine::runJob()
 
     const double start = secondsNow();
     const double limit = d_timeLimit.getValue();
-    m_deadline = limit > 0.0 ? start + limit : 0.0;
+    if (limit > 0.0)
+    {
+        check(mw_job_set_time_limit(job.get(), limit));
+    }
     m_tenthShown = -1;
     m_stageShown.clear();
     check(mw_job_set_progress(job.get(), &MeshwrightEngine::onProgress, this));
     const mw_status status = mw_job_run(job.get());
     readFindings(job.get());
-    if (status == MW_E_CANCELLED && m_deadline > 0.0)
-    {
-        throw std::runtime_error("the time limit of " + std::to_string(limit) + " s was reached; no mesh was made");
-    }
     check(status);
 
     mw_mesh* rawMesh = nullptr;
@@ -180,10 +179,9 @@ void MeshwrightEngine::runJob()
 
 int MeshwrightEngine::onProgress(void* user, const char* stage, double done)
 {
-    auto* engine = static_cast<MeshwrightEngine*>(user);
-    engine->showProgress(stage, done);
-    // Non-zero cancels: SOFA has no way to interrupt the loading of a scene, the time limit stands in for it.
-    return engine->m_deadline > 0.0 && secondsNow() > engine->m_deadline;
+    static_cast<MeshwrightEngine*>(user)->showProgress(stage, done);
+    // Zero goes on: SOFA has no way to interrupt the loading of a scene; timeLimit stands in for it.
+    return 0;
 }
 
 void MeshwrightEngine::showProgress(const char* stage, double done)
@@ -267,16 +265,16 @@ void MeshwrightEngine::readMesh(const mw_mesh* mesh)
         }
     }
 
-    int64_t triangleCount = 0;
-    const int32_t* triangleVertices = nullptr;
-    const int32_t* triangleLabels = nullptr;
-    check(mw_mesh_boundary(mesh, &triangleCount, &triangleVertices, &triangleLabels, nullptr, nullptr));
+    mw_boundary boundary = {};
+    boundary.struct_size = sizeof(boundary);
+    check(mw_mesh_boundary(mesh, &boundary));
     auto triangles = getWriteOnlyAccessor(d_outputTriangles);
     auto sides = getWriteOnlyAccessor(d_outputTriangleLabels);
-    for (int64_t i = 0; i < triangleCount; ++i)
+    for (int64_t i = 0; i < boundary.triangle_count; ++i)
     {
-        triangles.push_back(Topology::Triangle(triangleVertices[3 * i], triangleVertices[3 * i + 1], triangleVertices[3 * i + 2]));
-        sides.push_back(triangleLabels[2 * i]);
+        const int32_t* v = boundary.triangles + 3 * i;
+        triangles.push_back(Topology::Triangle(v[0], v[1], v[2]));
+        sides.push_back(boundary.labels[2 * i]);
     }
 }
 

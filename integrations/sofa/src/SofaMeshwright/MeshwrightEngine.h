@@ -90,7 +90,6 @@ private:
 
     static int onProgress(void* user, const char* stage, double done);
 
-    double m_deadline = 0.0;
     int m_tenthShown = -1;
     std::string m_stageShown;
 };
