@@ -82,7 +82,8 @@ pub struct Plan {
 }
 
 impl Plan {
-    fn reset(&mut self, label: Label) {
+    /// Empties the plan for tets of `label`.
+    pub fn reset(&mut self, label: Label) {
         self.old.clear();
         self.new.clear();
         self.label = label;
@@ -115,8 +116,10 @@ pub struct FlipScratch {
     pub plan: Plan,
     /// Tets created by the last commit, in the order of the plan.
     pub created: Vec<TetId>,
-    shell: Vec<ShellTet>,
-    ring: Vec<VertexId>,
+    /// Tets around the edge that was planned last, in turning order.
+    pub(crate) shell: Vec<ShellTet>,
+    /// Apexes of `shell`.
+    pub(crate) ring: Vec<VertexId>,
     ball: Vec<TetId>,
     open: Vec<OpenFace>,
     edges: Vec<[VertexId; 2]>,
@@ -335,8 +338,8 @@ pub fn plan_edge_removal<S: TetStore + ?Sized, M: TetMeasure>(
     if plan.is_positive(store) { Outcome::Accepted } else { Outcome::WouldInvert }
 }
 
-/// Claims and lists the closed shell of an edge; the plan is reset.
-fn collect_ring<S: TetStore + ?Sized>(
+/// Claims and lists the closed shell of an edge in the scratch's `shell` and `ring`; the plan is reset.
+pub fn collect_ring<S: TetStore + ?Sized>(
     store: &mut S,
     start: ShellTet,
     limit: usize,

@@ -20,11 +20,18 @@ mod delaunay_parallel;
 pub mod fault_picture;
 pub mod flip_criteria;
 pub mod flips;
+pub mod front;
 pub mod input_check;
 mod kernel_mesh;
-pub mod options;
 mod point_location;
+pub mod local_reconnection;
+pub mod options;
+pub mod parallel_reconnection;
+pub mod point_filter;
+pub mod point_placement;
+pub mod refinement;
 pub mod report;
+pub mod vertex_insertion;
 
 #[cfg(test)]
 pub(crate) mod test_surfaces;

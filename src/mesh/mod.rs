@@ -3,6 +3,7 @@
 pub mod mixed_mesh;
 pub mod numbering;
 pub mod quality;
+pub mod size_field;
 pub mod sizing;
 pub mod surface_mesh;
 pub mod tet_complex;

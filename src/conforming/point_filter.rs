@@ -1,0 +1,202 @@
+//! Which candidate points stand far enough from everything to become vertices.
+//!
+//! # Method
+//! A candidate is rejected when it lies
+//! 1. outside the boundary or on it: the walk to it meets a constrained face;
+//! 2. closer to a boundary face of the tets around than `cdfn` times the larger of its size and the face's average size;
+//! 3. closer to a vertex of the tets around than `cdfn` times the larger of the two sizes;
+//! 4. closer than that to another accepted candidate: those before it in the order are vertices by then, so rule 3,
+//!    applied again at the moment of insertion, decides.
+//!
+//! "Around" is the containing tet and the tets behind its faces. The mesh is kept Delaunay by the reconnection that
+//! follows each insertion, so the nearest vertices are there.
+//!
+//! # Source
+//! [Drakopoulos2017] 4.7.1 (point creation), B.3 `cdfn`.
+//!
+//! # Differences
+//! The thesis keeps a list of accepted candidates per tet and compares within a tet and its neighbours before the
+//! insertion; here the insertion itself compares, which also sees candidates two tets away. The first test runs in
+//! parallel over all candidates and leaves few for the second.
+//!
+//! # Cost
+//! A short walk and at most eight distances a candidate.
+
+use glam::DVec3;
+
+use crate::geometry::predicates::orient3d;
+use crate::geometry::tetrahedron::barycentric;
+use crate::index::{TetFace, TetId, VertexId};
+use crate::mesh::numbering::TET_FACES;
+use crate::mesh::tet_store::TetStore;
+
+use super::flips::Feature;
+
+/// Longest walk; candidates lie a few tets from where they were made.
+const MAX_STEPS: usize = 2000;
+
+/// Where a walk ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Walk {
+    /// In this tet, boundary included.
+    Inside(TetId),
+    /// At a constrained face or the end of the mesh.
+    Blocked,
+    /// Too long, or through a tet that another thread removed.
+    Lost,
+}
+
+/// Walks from `start` to the tet that contains `point`, never across a constrained face.
+///
+/// # Source
+/// Remembering walk with a rotating first face, [DevillersPionTeillaud2002].
+pub fn walk<S: TetStore + ?Sized>(store: &S, start: TetId, point: DVec3) -> Walk {
+    let mut tet = start;
+    let mut entered = 4;
+    let mut blocked = false;
+    for step in 0..MAX_STEPS {
+        let row = store.vertices(tet);
+        if row[0] == row[1] {
+            return Walk::Lost;
+        }
+        if row.contains(&VertexId::GHOST) {
+            return Walk::Blocked;
+        }
+        let corners = row.map(|v| store.point(v));
+        let mut next = TetFace::NONE;
+        for turn in 0..4 {
+            let face = (step + turn) & 3;
+            if face == entered {
+                continue;
+            }
+            let [a, b, c] = TET_FACES[face].map(|i| corners[i]);
+            if orient3d(a, b, c, point) > 0.0 {
+                let side = TetFace::new(tet, face);
+                let other = store.neighbor(side);
+                if other == TetFace::NONE || store.is_face_constrained(side) {
+                    blocked = true; // another face may still lead there
+                    continue;
+                }
+                next = other;
+                break;
+            }
+        }
+        if next == TetFace::NONE {
+            return if blocked { Walk::Blocked } else { Walk::Inside(tet) };
+        }
+        blocked = false;
+        (tet, entered) = (next.tet(), next.face());
+    }
+    Walk::Lost
+}
+
+/// The smallest feature of `tet` that contains `point`, which lies in it. With `tolerance` above 0, a point whose
+/// barycentric weights are below it counts as lying on the face or edge.
+pub fn feature_of<S: TetStore + ?Sized>(store: &S, tet: TetId, point: DVec3, tolerance: f64) -> Feature {
+    let row = store.vertices(tet);
+    let corners = row.map(|v| store.point(v));
+    let weights = if tolerance > 0.0 { barycentric(corners, point) } else { [1.0; 4] };
+    let mut off = [false; 4];
+    for face in 0..4 {
+        let [a, b, c] = TET_FACES[face].map(|i| corners[i]);
+        off[face] = weights[face] >= tolerance && orient3d(a, b, c, point) != 0.0;
+    }
+    let remaining: [usize; 4] = std::array::from_fn(|i| i);
+    match off.iter().filter(|o| **o).count() {
+        4 => Feature::Tet(tet),
+        3 => Feature::Face(TetFace::new(tet, off.iter().position(|o| !o).unwrap_or(0))),
+        2 => {
+            let mut ends = remaining.into_iter().filter(|&i| off[i]);
+            Feature::Edge(tet, ends.next().unwrap_or(0), ends.next().unwrap_or(1))
+        }
+        _ => Feature::Vertex(row[off.iter().position(|o| *o).unwrap_or(0)]),
+    }
+}
+
+/// Squared distance from `point` to the triangle's plane where its foot lies inside, else to the nearest edge.
+pub fn squared_distance_to_triangle(point: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
+    let normal = (b - a).cross(c - a);
+    let squared = normal.length_squared();
+    if squared > 0.0 {
+        let inside = |p: DVec3, q: DVec3| (q - p).cross(point - p).dot(normal) >= 0.0;
+        if inside(a, b) && inside(b, c) && inside(c, a) {
+            let height = (point - a).dot(normal);
+            return height * height / squared;
+        }
+    }
+    let to_segment = |p: DVec3, q: DVec3| {
+        let along = q - p;
+        let t = ((point - p).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+        point.distance_squared(p + t * along)
+    };
+    to_segment(a, b).min(to_segment(b, c)).min(to_segment(c, a))
+}
+
+/// The size of a new point in `tet`: linear between the corners, `minimum_weight` (`cdfm`) of the smallest corner.
+#[inline]
+pub fn interpolated_size<S: TetStore + ?Sized>(
+    store: &S,
+    sizes: &[f64],
+    tet: TetId,
+    point: DVec3,
+    minimum_weight: f64,
+) -> f64 {
+    let row = store.vertices(tet);
+    let corner_sizes = row.map(|v| sizes[v.index()]);
+    let weights = barycentric(row.map(|v| store.point(v)), point);
+    let smallest = corner_sizes.iter().copied().fold(f64::INFINITY, f64::min);
+    let largest = corner_sizes.iter().copied().fold(0.0, f64::max);
+    let linear: f64 = weights.iter().zip(corner_sizes).map(|(w, s)| w * s).sum();
+    (1.0 - minimum_weight) * linear.clamp(smallest, largest) + minimum_weight * smallest
+}
+
+/// Whether `point` of size `size` in `tet` keeps its distance from the vertices and boundary faces around (rules 2, 3).
+pub fn is_clear<S: TetStore + ?Sized>(
+    store: &S,
+    sizes: &[f64],
+    tet: TetId,
+    point: DVec3,
+    size: f64,
+    near_factor: f64,
+) -> bool {
+    let row = store.vertices(tet);
+    let far_from = |vertex: VertexId| {
+        vertex.is_ghost() || {
+            let limit = near_factor * size.max(sizes[vertex.index()]);
+            store.point(vertex).distance_squared(point) >= limit * limit
+        }
+    };
+    if !row.iter().all(|&v| far_from(v)) || !is_clear_of_boundary(store, sizes, tet, point, size, near_factor) {
+        return false;
+    }
+    store.neighbors(tet).into_iter().enumerate().all(|(face, other)| {
+        other == TetFace::NONE
+            || store.is_face_constrained(TetFace::new(tet, face))
+            || (far_from(store.apex(other))
+                && is_clear_of_boundary(store, sizes, other.tet(), point, size, near_factor))
+    })
+}
+
+fn is_clear_of_boundary<S: TetStore + ?Sized>(
+    store: &S,
+    sizes: &[f64],
+    tet: TetId,
+    point: DVec3,
+    size: f64,
+    near_factor: f64,
+) -> bool {
+    let (flags, neighbors) = (store.flags(tet), store.neighbors(tet));
+    if !flags.has_constrained_face() && !neighbors.contains(&TetFace::NONE) {
+        return true;
+    }
+    (0..4).all(|face| {
+        let side = TetFace::new(tet, face);
+        if neighbors[face] != TetFace::NONE && !flags.is_face_constrained(face) {
+            return true;
+        }
+        let vertices = store.face_vertices(side);
+        let average = vertices.iter().map(|v| sizes[v.index()]).sum::<f64>() / 3.0;
+        let limit = near_factor * size.max(average);
+        squared_distance_to_triangle(point, vertices.map(|v| store.point(v))) >= limit * limit
+    })
+}

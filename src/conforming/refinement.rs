@@ -1,0 +1,325 @@
+//! Refinement: advancing-front points, direct insertion and local reconnection in rounds, until no point is accepted.
+//!
+//! # Method
+//! 1. Sizes of the boundary vertices from the boundary edges; every tet is active.
+//! 2. While points are accepted: deactivate satisfied tets (`front`), create candidates (`point_placement`), reject
+//!    (`point_filter`), insert with in-sphere reconnection (`vertex_insertion`), then reconnect what changed by the
+//!    second objective (`local_reconnection`).
+//!
+//! # Source
+//! [Drakopoulos2017] 4.7.1; B.3 `cdf`, `cdfm`, `cdfr`, `cdfn`, `cdff`, `angmax`, `dfmax`, `mrecm`, `mrecm2`, `mrec4`,
+//! `ngen`, `nminpts`.
+//!
+//! # Invariants
+//! Constrained faces and edges stay; the mesh is valid after every step. One thread: the same bits every time.
+//!
+//! # Limits
+//! Element and memory limits end the rounds with [`Error::LimitReached`]; the mesh is valid as it stands.
+
+use std::time::Instant;
+
+use rayon::prelude::*;
+
+use super::front::{Satisfaction, deactivate};
+use super::local_reconnection::{FlipCounts, FourFour, Objective};
+use super::options::Options;
+use super::parallel_reconnection::{Driver, Insert};
+use super::point_filter::{Walk, interpolated_size, is_clear, walk};
+use super::point_placement::{Candidate, Placement, create_candidates};
+use super::vertex_insertion::InsertionRule;
+use crate::context::RunContext;
+use crate::error::{Error, Result};
+use crate::geometry::tetrahedron::volume;
+use crate::index::{TetFace, TetId, VertexId};
+use crate::mesh::size_field::{SizeField, average_edges};
+use crate::mesh::tet_complex::TetComplex;
+use crate::mesh::tet_store::TetStore;
+use crate::statistics::Statistics;
+
+/// Measured peak memory per tet of a run with refinement and improvement, bytes: rows, sizes, lists of a pass.
+pub const BYTES_PER_TET: f64 = 110.0;
+/// Volume of the regular tet over the cube of its edge.
+const REGULAR_VOLUME: f64 = 0.117_851_130_197_757_9;
+/// Average edge over size in a finished mesh, to predict the number of tets: measured on spheres and boxes.
+const MEAN_STRETCH: f64 = 1.05;
+
+/// Figures of one round.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Round {
+    /// Active tets at its start.
+    pub active: usize,
+    /// Candidates created.
+    pub created: usize,
+    /// Candidates left after the first test.
+    pub filtered: usize,
+    /// Points inserted.
+    pub inserted: usize,
+    /// Flips of both objectives.
+    pub flips: FlipCounts,
+}
+
+/// The boundary as triangles: every constrained face and every end of the mesh, once.
+pub fn boundary_triangles(complex: &TetComplex) -> Vec<[VertexId; 3]> {
+    let mut triangles = Vec::new();
+    for tet in complex.finite_tets() {
+        let (neighbors, flags) = (complex.neighbors(tet), complex.flags(tet));
+        for face in 0..4 {
+            let is_end = neighbors[face] == TetFace::NONE;
+            let side = TetFace::new(tet, face);
+            if is_end
+                || (flags.is_face_constrained(face) && side < neighbors[face])
+                || (flags.is_face_constrained(face) && complex.is_ghost_tet(neighbors[face].tet()))
+            {
+                triangles.push(complex.face_vertices(side));
+            }
+        }
+    }
+    triangles
+}
+
+/// Sizes of all vertices: the average boundary edge at boundary vertices times `cdf`, bounded by the field; vertices in
+/// the volume (Steiner points) take the average of their neighbours.
+///
+/// # Errors
+/// As [`SizeField::bounded`].
+pub fn initial_sizes(complex: &TetComplex, field: &SizeField, factor: f64) -> Result<Vec<f64>> {
+    let points = complex.points();
+    let mut sizes = average_edges(points.len(), points, &boundary_triangles(complex));
+    let mut sums = vec![(0.0, 0u32); points.len()];
+    for tet in complex.finite_tets() {
+        let row = complex.vertices(tet);
+        for v in row.iter().filter(|v| sizes[v.index()] == 0.0) {
+            for w in row.iter().filter(|w| sizes[w.index()] > 0.0) {
+                sums[v.index()].0 += sizes[w.index()];
+                sums[v.index()].1 += 1;
+            }
+        }
+    }
+    let fallback = sizes.iter().copied().fold(0.0, f64::max);
+    for (size, (sum, count)) in sizes.iter_mut().zip(&sums) {
+        if *size == 0.0 {
+            *size = if *count > 0 { sum / f64::from(*count) } else { fallback };
+        }
+    }
+    sizes.iter().zip(points).map(|(size, point)| field.bounded(*point, factor * size)).collect()
+}
+
+/// How many tets the refinement will make, from the sizes at the corners of the present tets and the field inside.
+///
+/// # Errors
+/// As [`SizeField::bounded`].
+pub fn predicted_tets(complex: &TetComplex, sizes: &[f64], field: &SizeField) -> Result<f64> {
+    let mut total = 0.0;
+    for tet in complex.finite_tets().filter(|&t| !complex.label(t).is_background()) {
+        let corners = complex.points_of(tet);
+        let center = corners.iter().sum::<glam::DVec3>() / 4.0;
+        let average = complex.vertices(tet).map(|v| sizes[v.index()]).iter().sum::<f64>() / 4.0;
+        let size = MEAN_STRETCH * field.bounded(center, average)?;
+        total += volume(corners) / (REGULAR_VOLUME * size.powi(3));
+    }
+    Ok(total)
+}
+
+/// Refines the mesh and returns the figures; `sizes` has one entry per vertex and grows with them.
+///
+/// # Errors
+/// [`Error::LimitReached`] where elements or memory would not suffice (predicted before the work, checked in every
+/// round); [`Error::Cancelled`]; those of the size field.
+pub fn refine(
+    complex: &mut TetComplex,
+    sizes: &mut Vec<f64>,
+    field: &SizeField,
+    options: &Options,
+    context: &RunContext,
+) -> Result<Statistics> {
+    let start = Instant::now();
+    let mut figures = Statistics::default();
+    let predicted = predicted_tets(complex, sizes, field)?;
+    check_limits(options, predicted, "predicted")?;
+    figures.set("refinement.predicted_tets", predicted);
+    let mut driver = Driver::for_refinement(options, context);
+    let mut active: Vec<TetId> = complex.finite_tets().collect();
+    let mut unused: Vec<VertexId> = Vec::new();
+    let mut total = Round::default();
+    let mut rounds = 0;
+    while rounds < options.maximum_passes {
+        context.check()?;
+        let round = refine_round(complex, sizes, field, options, context, &mut driver, &mut active, &mut unused)?;
+        rounds += 1;
+        total.created += round.created;
+        total.filtered += round.filtered;
+        total.inserted += round.inserted;
+        total.flips.add(round.flips);
+        record_round(&mut figures, rounds, &round);
+        let done = complex.live_count() as f64 / predicted.max(1.0);
+        context.progress("refinement", 0.15 + 0.5 * done.min(1.0));
+        if round.inserted == 0 {
+            break;
+        }
+        check_limits(options, complex.live_count() as f64, "made")?;
+    }
+    clear_marks(complex);
+    driver.record(&mut figures, "refinement");
+    figures.set("refinement.rounds", rounds as f64);
+    figures.set("refinement.points_tried", total.created as f64);
+    figures.set("refinement.points_filtered", total.filtered as f64);
+    figures.set("refinement.points_accepted", total.inserted as f64);
+    figures.set("refinement.flips_tried", total.flips.tried as f64);
+    figures.set("refinement.flips_accepted", total.flips.accepted as f64);
+    figures.set("refinement.flips_lost", total.flips.lost as f64);
+    figures.set("time.refinement", start.elapsed().as_secs_f64());
+    Ok(figures)
+}
+
+/// Rounds listed one by one in the statistics.
+const LISTED_ROUNDS: usize = 200;
+
+fn record_round(figures: &mut Statistics, number: usize, round: &Round) {
+    if number > LISTED_ROUNDS {
+        return;
+    }
+    for (name, value) in [
+        ("active", round.active as f64),
+        ("tried", round.created as f64),
+        ("accepted", round.inserted as f64),
+        ("flips_tried", round.flips.tried as f64),
+        ("flips_accepted", round.flips.accepted as f64),
+        ("flips_lost", round.flips.lost as f64),
+    ] {
+        figures.set(format!("refinement.round.{number}.{name}"), value);
+    }
+}
+
+fn check_limits(options: &Options, tets: f64, what: &str) -> Result<()> {
+    let megabytes = tets * BYTES_PER_TET / 1e6;
+    if options.maximum_elements > 0 && tets > options.maximum_elements as f64 {
+        return Err(Error::LimitReached {
+            reason: format!("{tets:.3e} elements {what}, at most {} allowed", options.maximum_elements),
+        });
+    }
+    if options.maximum_memory_megabytes > 0.0 && megabytes > options.maximum_memory_megabytes {
+        return Err(Error::LimitReached {
+            reason: format!(
+                "{tets:.3e} elements {what} need about {megabytes:.0} MB, at most {:.0} MB allowed",
+                options.maximum_memory_megabytes
+            ),
+        });
+    }
+    let capacity = crate::mesh::tet_complex::MAX_TETS;
+    if tets > capacity as f64 {
+        return Err(Error::CapacityExceeded { what: "tets", needed: tets as u64, limit: capacity as u64 });
+    }
+    Ok(())
+}
+
+fn clear_marks(complex: &mut TetComplex) {
+    for tet in complex.live_tets().collect::<Vec<_>>() {
+        let flags = complex.flags(tet);
+        complex.set_flags(tet, flags.with_user_bit(super::front::SATISFIED, false));
+    }
+}
+
+#[allow(clippy::too_many_arguments, reason = "the state of the rounds, kept apart so that each is borrowed alone")]
+fn refine_round(
+    complex: &mut TetComplex,
+    sizes: &mut Vec<f64>,
+    field: &SizeField,
+    options: &Options,
+    context: &RunContext,
+    driver: &mut Driver,
+    active: &mut Vec<TetId>,
+    unused: &mut Vec<VertexId>,
+) -> Result<Round> {
+    if !options.group_active {
+        active.clear();
+        active.extend(complex.finite_tets());
+    }
+    let satisfaction = Satisfaction::new(options.edge_satisfied_factor, options.satisfied_angle);
+    let placement = Placement {
+        growth_rate: options.growth_rate,
+        near_factor: options.near_point_factor,
+        accurate_normals: options.accurate_normals,
+    };
+    let mut round = Round::default();
+    context.install(|| deactivate(complex, sizes, satisfaction, active));
+    round.active = active.len();
+    let candidates = context.install(|| create_candidates(complex, sizes, active, &placement));
+    round.created = candidates.len();
+    let accepted = context.install(|| filter(complex, sizes, field, options, &candidates))?;
+    drop(candidates);
+    round.filtered = accepted.len();
+    let inserts = assign_vertices(complex, sizes, &accepted, unused)?;
+    drop(accepted);
+    let rule = InsertionRule {
+        near_factor: options.near_point_factor,
+        snap_tolerance: if options.snap_location { options.location_tolerance } else { 0.0 },
+    };
+    let mut fresh = Vec::new();
+    let rejected = driver.insert(complex, sizes, &inserts, &rule, &mut fresh)?;
+    round.inserted = inserts.len() - rejected.len();
+    unused.extend(rejected);
+    let objective = match options.reconnection_criterion {
+        1 => Objective::InSphere,
+        2 => Objective::EdgeWeight,
+        _ => Objective::Skew,
+    };
+    let four = match (options.flip_44, options.flip_44_quality) {
+        (false, _) => FourFour::Off,
+        (true, false) => FourFour::First,
+        (true, true) => FourFour::Best,
+    };
+    let repeats = if options.repeat_reconnection { usize::MAX } else { 1 };
+    driver.reconnect(complex, &mut fresh, objective, four, repeats)?;
+    round.flips = driver.take_counts();
+    active.extend(fresh);
+    Ok(round)
+}
+
+/// The first test of the candidates, in parallel: where they lie, how large they are, what is too close.
+fn filter(
+    complex: &TetComplex,
+    sizes: &[f64],
+    field: &SizeField,
+    options: &Options,
+    candidates: &[Candidate],
+) -> Result<Vec<(Candidate, f64)>> {
+    let is_free = field.is_free();
+    let test = |candidate: &Candidate| -> Option<Result<(Candidate, f64)>> {
+        let Walk::Inside(tet) = walk(complex, candidate.tet, candidate.point) else { return None };
+        let interpolated = interpolated_size(complex, sizes, tet, candidate.point, options.size_minimum_weight);
+        let wanted = interpolated.min(options.growth_rate * candidate.scale);
+        let size = if is_free { Ok(wanted) } else { field.bounded(candidate.point, wanted) };
+        let size = match size {
+            Ok(size) => size,
+            Err(error) => return Some(Err(error)),
+        };
+        is_clear(complex, sizes, tet, candidate.point, size, options.near_point_factor)
+            .then_some(Ok((Candidate { tet, ..*candidate }, size)))
+    };
+    candidates.par_iter().with_min_len(256).filter_map(test).collect()
+}
+
+/// Gives every accepted candidate a vertex: ones left over from earlier rounds first.
+fn assign_vertices(
+    complex: &mut TetComplex,
+    sizes: &mut Vec<f64>,
+    accepted: &[(Candidate, f64)],
+    unused: &mut Vec<VertexId>,
+) -> Result<Vec<Insert>> {
+    let mut inserts = Vec::with_capacity(accepted.len());
+    for (candidate, size) in accepted {
+        let vertex = match unused.pop() {
+            Some(vertex) => {
+                complex.set_point(vertex, candidate.point);
+                sizes[vertex.index()] = *size;
+                vertex
+            }
+            None => {
+                sizes.push(*size);
+                complex.push_point(candidate.point)?
+            }
+        };
+        inserts.push(Insert { vertex, start: candidate.tet });
+    }
+    Ok(inserts)
+}

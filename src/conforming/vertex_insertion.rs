@@ -1,0 +1,95 @@
+//! Direct insertion of accepted points: split the tet, face or edge that contains the point, then reconnect around it.
+//!
+//! # Method
+//! 1. Walk from the tet of the point inserted last nearby to the tet that contains the point.
+//! 2. Apply the distance rules again (`point_filter`): candidates inserted since then are vertices now.
+//! 3. Split by 1-4, 2-6 or n-2n; restore empty circumspheres around the new vertex by flips.
+//!
+//! # Source
+//! [Drakopoulos2017] 4.7.1 (point insertion), figure 67; B.3 `loc`, `loctol`.
+//!
+//! # Differences
+//! Candidates of one tet stand together in the order of insertion, which is the thesis's list per tet; the reconnection
+//! that follows at once replaces the merging of lists.
+//!
+//! # Invariants
+//! Generic over the store. A failed insertion changes nothing.
+
+use glam::DVec3;
+
+use super::flip_criteria::AnyPositive;
+use super::flips::{Feature, Outcome, plan_insertion};
+use super::local_reconnection::Reconnector;
+use super::point_filter::{Walk, feature_of, is_clear, walk};
+use crate::error::Result;
+use crate::index::{TetId, VertexId};
+use crate::mesh::tet_store::TetStore;
+
+/// What became of a candidate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Insertion {
+    /// It is a vertex now.
+    Inserted,
+    /// A vertex or the boundary is too close.
+    TooClose,
+    /// It lies outside or on the boundary, or on a constraint.
+    Outside,
+    /// Another thread held what it needs.
+    ClaimLost,
+}
+
+/// How insertions are done.
+#[derive(Debug, Clone, Copy)]
+pub struct InsertionRule {
+    /// `cdfn`.
+    pub near_factor: f64,
+    /// `loctol` where `loc` is 1, else 0.
+    pub snap_tolerance: f64,
+}
+
+/// Inserts `vertex`, whose point and size are set, walking from `start`.
+///
+/// # Errors
+/// As [`crate::conforming::flips::commit`].
+pub fn insert_vertex<S: TetStore + ?Sized>(
+    store: &mut S,
+    sizes: &[f64],
+    vertex: VertexId,
+    point: DVec3,
+    start: TetId,
+    rule: &InsertionRule,
+    reconnector: &mut Reconnector,
+) -> Result<Insertion> {
+    let tet = match walk(store, start, point) {
+        Walk::Inside(tet) => tet,
+        Walk::Blocked => return Ok(Insertion::Outside),
+        Walk::Lost => return Ok(Insertion::ClaimLost),
+    };
+    if !store.try_claim(vertex) || !store.try_claim_tet(tet) {
+        store.release_claims();
+        return Ok(Insertion::ClaimLost);
+    }
+    if !is_clear(store, sizes, tet, point, sizes[vertex.index()], rule.near_factor) {
+        store.release_claims();
+        return Ok(Insertion::TooClose);
+    }
+    let feature = feature_of(store, tet, point, 0.0);
+    let snapped = if rule.snap_tolerance > 0.0 { feature_of(store, tet, point, rule.snap_tolerance) } else { feature };
+    let mut outcome = plan_insertion(store, snapped, vertex, &AnyPositive, &mut reconnector.scratch);
+    if outcome != Outcome::Accepted && outcome != Outcome::ClaimLost && snapped != feature {
+        outcome = plan_insertion(store, feature, vertex, &AnyPositive, &mut reconnector.scratch);
+    }
+    let result = match outcome {
+        Outcome::Accepted => {
+            reconnector.commit(store)?;
+            store.release_claims();
+            reconnector.reconnect_around(store, vertex)?;
+            Insertion::Inserted
+        }
+        Outcome::ClaimLost => Insertion::ClaimLost,
+        _ if matches!(feature, Feature::Vertex(_)) => Insertion::TooClose,
+        _ => Insertion::Outside,
+    };
+    store.release_claims();
+    Ok(result)
+}
