@@ -29,8 +29,11 @@ pub mod parallel_reconnection;
 pub mod point_filter;
 mod point_location;
 pub mod point_placement;
+pub mod quality_improvement;
 pub mod refinement;
 pub mod report;
+pub mod sliver_removal;
+pub mod smoothing;
 pub mod vertex_insertion;
 
 #[cfg(test)]

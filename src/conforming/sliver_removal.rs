@@ -1,0 +1,166 @@
+//! Removes bad tets by inserting a point into a small polyhedron around them.
+//!
+//! # Method
+//! ```text
+//!   configuration 1: the shell of the edge with the largest angle     the polyhedron's border faces are joined to a
+//!   configuration 2: the shell of the opposite edge                   new point: its centroid, moved to where the worst
+//!   configuration 3: both shells                                      new tet is best
+//! ```
+//! The configuration whose worst new tet is best is taken, if that is better than the worst tet it replaces.
+//!
+//! # Source
+//! [Drakopoulos2017] 4.9.3, figure 76; B.3 `angdfs`, `mdfs`, `ndfs`.
+//!
+//! # Differences
+//! The thesis smooths the new point afterwards where slivers remain; here its place is searched before anything changes.
+//!
+//! # Invariants
+//! Constrained faces bound the polyhedron; constrained edges inside it refuse it.
+
+use glam::DVec3;
+
+use super::flip_criteria::TetMeasure;
+use super::flips::{FlipScratch, Outcome};
+use super::smoothing::Star;
+use crate::geometry::tetrahedron::dihedral_angles;
+use crate::index::{TetFace, TetId, VertexId};
+use crate::mesh::numbering::{TET_EDGE_BETWEEN, TET_EDGES, TET_OPPOSITE_EDGES};
+use crate::mesh::tet_store::TetStore;
+use crate::mesh::topology::{ShellKind, ShellTet, collect_shell};
+
+/// Most tets of a polyhedron.
+const MAX_CAVITY: usize = 40;
+
+/// Buffers of one thread.
+#[derive(Debug, Clone, Default)]
+pub struct SliverScratch {
+    star: Star,
+    shell: Vec<ShellTet>,
+    cavity: Vec<TetId>,
+    border: Vec<TetFace>,
+    best: Vec<TetId>,
+}
+
+/// Plans the insertion of `vertex` (a spare one without tets) that removes `tet`. The plan is in `flips`; the second
+/// value is the place of the vertex, to be set before the commit.
+pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
+    store: &mut S,
+    tet: TetId,
+    vertex: VertexId,
+    measure: &M,
+    scratch: &mut SliverScratch,
+    flips: &mut FlipScratch,
+) -> (Outcome, DVec3) {
+    if !store.is_live(tet) || store.is_ghost_tet(tet) {
+        return (Outcome::NotApplicable, DVec3::ZERO);
+    }
+    if !store.try_claim(vertex) || !store.try_claim_tet(tet) {
+        return (Outcome::ClaimLost, DVec3::ZERO);
+    }
+    let angles = dihedral_angles(store.points_of(tet));
+    let first = (0..6).max_by(|&i, &j| angles[i].total_cmp(&angles[j])).unwrap_or(0);
+    let [c, d] = TET_OPPOSITE_EDGES[first];
+    let second = TET_EDGE_BETWEEN[c][d];
+    let configurations: [&[usize]; 3] = [&[first], &[second], &[first, second]];
+    let mut best: Option<(f64, f64, DVec3)> = None;
+    let mut last = Outcome::WorsensQuality;
+    for edges in configurations {
+        match gather(store, tet, edges, scratch) {
+            Outcome::Accepted => {}
+            Outcome::ClaimLost => return (Outcome::ClaimLost, DVec3::ZERO),
+            other => {
+                last = other;
+                continue;
+            }
+        }
+        let old = scratch.cavity.iter().map(|&t| measure.grade(store.points_of(t))).fold(f64::INFINITY, f64::min);
+        let bound = best.map_or(old.max(0.0) * (1.0 + 1e-6), |(grade, ..)| grade);
+        let Some((place, grade)) = best_place(store, tet, measure, scratch) else {
+            last = Outcome::WouldInvert;
+            continue;
+        };
+        if grade > bound {
+            best = Some((grade, old, place));
+            scratch.best.clone_from(&scratch.cavity);
+        }
+    }
+    let Some((grade, old, place)) = best else { return (last, DVec3::ZERO) };
+    scratch.cavity.clone_from(&scratch.best);
+    collect_border(store, scratch);
+    let plan = &mut flips.plan;
+    plan.reset(store.label(tet));
+    plan.old.extend_from_slice(&scratch.cavity);
+    plan.new.extend(scratch.border.iter().map(|&side| {
+        let [a, b, c] = store.face_vertices(side);
+        [a, c, b, vertex]
+    }));
+    (plan.old_grade, plan.new_grade) = (old, grade);
+    (Outcome::Accepted, place)
+}
+
+/// The union of the shells of some edges of `tet`, claimed, in `cavity`, with its border and star.
+fn gather<S: TetStore + ?Sized>(store: &mut S, tet: TetId, edges: &[usize], scratch: &mut SliverScratch) -> Outcome {
+    scratch.cavity.clear();
+    for &edge in edges {
+        let [a, b] = TET_EDGES[edge];
+        if store.is_edge_constrained(tet, a, b) {
+            return Outcome::Constrained;
+        }
+        match collect_shell(store, ShellTet::new(tet, a, b), MAX_CAVITY, &mut scratch.shell) {
+            ShellKind::Closed => {}
+            ShellKind::Open => return Outcome::Constrained,
+            ShellKind::TooLarge => return Outcome::NotApplicable,
+        }
+        for at in 0..scratch.shell.len() {
+            let shell = scratch.shell[at];
+            if store.is_face_constrained(TetFace::new(shell.tet, shell.c)) || store.is_ghost_tet(shell.tet) {
+                return Outcome::Constrained;
+            }
+            let row = store.vertices(shell.tet);
+            if !store.try_claim_all(&row) {
+                return Outcome::ClaimLost;
+            }
+            if !scratch.cavity.contains(&shell.tet) {
+                scratch.cavity.push(shell.tet);
+            }
+        }
+    }
+    collect_border(store, scratch);
+    scratch.star.faces.clear();
+    for at in 0..scratch.border.len() {
+        let [a, b, c] = store.face_vertices(scratch.border[at]).map(|v| store.point(v));
+        scratch.star.faces.push([a, c, b]);
+    }
+    Outcome::Accepted
+}
+
+fn collect_border<S: TetStore + ?Sized>(store: &S, scratch: &mut SliverScratch) {
+    scratch.border.clear();
+    for &tet in &scratch.cavity {
+        for (face, other) in store.neighbors(tet).into_iter().enumerate() {
+            if other == TetFace::NONE || !scratch.cavity.contains(&other.tet()) {
+                scratch.border.push(TetFace::new(tet, face));
+            }
+        }
+    }
+}
+
+/// The best place for the point of the star in the scratch: from the centroid of the border, or of the sliver.
+fn best_place<S: TetStore + ?Sized, M: TetMeasure>(
+    store: &S,
+    tet: TetId,
+    measure: &M,
+    scratch: &mut SliverScratch,
+) -> Option<(DVec3, f64)> {
+    let star = &mut scratch.star;
+    let centroid = star.faces.iter().map(|[a, b, c]| (*a + *b + *c) / 3.0).sum::<DVec3>() / star.faces.len() as f64;
+    let sliver = store.points_of(tet).iter().sum::<DVec3>() / 4.0;
+    for start in [centroid, sliver] {
+        if star.is_visible_from(start) {
+            let (place, grade) = star.search(measure, start);
+            let place = if star.is_visible_from(place) { place } else { start };
+            return Some((place, grade));
+        }
+    }
+    None
+}
