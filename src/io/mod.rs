@@ -19,17 +19,26 @@ mod off;
 mod ply;
 mod polygon;
 mod stl;
+mod surface_export;
 mod tetgen;
 mod text_scan;
 mod voxel_stream;
+mod vtk_legacy_reader;
+mod vtk_legacy_writer;
+mod vtk_xml_reader;
+mod vtk_xml_writer;
 
 use std::io::Read;
 use std::path::Path;
 
 pub use atomic_file::{check_writable, write_atomically};
+pub use surface_export::{SurfaceExport, SurfaceSelection, label_pairs};
+
+use glam::DVec3;
 
 use crate::error::{Error, Result};
 use crate::image::voxel_image::VoxelImage;
+use crate::mesh::boundary::extract_boundary;
 use crate::mesh::mixed_mesh::{MixedMesh, Space};
 use crate::mesh::surface_mesh::{Patch, SurfaceMesh};
 
@@ -239,6 +248,8 @@ pub fn read_surface(path: &Path) -> Result<SurfaceMesh> {
 /// Reads any mesh or surface file.
 fn read_file_mesh(path: &Path) -> Result<file_mesh::FileMesh> {
     match MeshFormat::of_path(path)? {
+        MeshFormat::Vtu | MeshFormat::Vtp => vtk_xml_reader::read(path),
+        MeshFormat::Vtk42 | MeshFormat::Vtk51 => vtk_legacy_reader::read(path),
         MeshFormat::Off => off::read(path),
         MeshFormat::Obj => obj::read(path),
         MeshFormat::Stl => stl::read(path),
@@ -287,12 +298,69 @@ impl MeshFormat {
     }
 }
 
-/// Writes a surface.
+/// Writes a surface of no anatomical frame.
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Unsupported`].
-pub fn write_surface(_surface: &SurfaceMesh, path: &Path, _options: &WriteOptions) -> Result<()> {
-    Err(Error::Unsupported { reason: format!("{}: writing surfaces", path.display()) })
+pub fn write_surface(surface: &SurfaceMesh, path: &Path, options: &WriteOptions) -> Result<()> {
+    write_surface_export(&SurfaceExport::of_surface(surface, Space::Unspecified), path, options)
+}
+
+/// Writes a surface with its arrays.
+///
+/// # Errors
+/// [`Error::Io`], [`Error::Unsupported`] for a format that holds no lone surface.
+pub fn write_surface_export(export: &SurfaceExport, path: &Path, options: &WriteOptions) -> Result<()> {
+    let format = options.format.map_or_else(|| MeshFormat::of_path(path), Ok)?;
+    let turned = in_frame(export, options);
+    let surface = &turned.as_ref().unwrap_or(export).surface;
+    match format {
+        MeshFormat::Vtp => write_atomically(path, |out| vtk_xml_writer::write_vtp(export, options, out)),
+        MeshFormat::Vtk42 | MeshFormat::Vtk51 => {
+            write_atomically(path, |out| vtk_legacy_writer::write_surface(export, format, options, out))
+        }
+        MeshFormat::Off => write_atomically(path, |out| off::write(surface, out)),
+        MeshFormat::Obj => write_atomically(path, |out| obj::write(surface, out)),
+        MeshFormat::Ply => write_atomically(path, |out| ply::write(surface, options.encoding, out)),
+        MeshFormat::Surf => write_atomically(path, |out| aflr::write(surface, out)),
+        MeshFormat::Stl if options.encoding == Encoding::Ascii => {
+            write_atomically(path, |out| stl::write_text(surface, out))
+        }
+        MeshFormat::Stl => {
+            let space = space_name(options.space.unwrap_or(export.space));
+            let title = space.map_or("Meshwright".to_owned(), |name| format!("Meshwright SPACE={name}"));
+            write_atomically(path, |out| stl::write_binary(surface, &title, out))
+        }
+        _ => Err(Error::Unsupported { reason: format!("{}: {format:?} holds no lone surface", path.display()) }),
+    }
+}
+
+/// A copy in the frame that was asked for; `None` where nothing changes.
+fn in_frame(export: &SurfaceExport, options: &WriteOptions) -> Option<SurfaceExport> {
+    let signs = signs(export.space, options);
+    (signs != DVec3::ONE).then(|| {
+        let mut turned = export.clone();
+        turned.surface.points.iter_mut().for_each(|p| *p *= signs);
+        turned
+    })
+}
+
+/// Signs that turn the coordinates of `from` into the frame that was asked for. A turn by half about the third axis:
+/// orientations stay.
+fn signs(from: Space, options: &WriteOptions) -> DVec3 {
+    match (from, options.space.unwrap_or(from)) {
+        (Space::Lps, Space::Ras) | (Space::Ras, Space::Lps) => DVec3::new(-1.0, -1.0, 1.0),
+        _ => DVec3::ONE,
+    }
+}
+
+/// The name of a frame in files.
+fn space_name(space: Space) -> Option<&'static str> {
+    match space {
+        Space::Lps => Some("LPS"),
+        Space::Ras => Some("RAS"),
+        Space::Unspecified => None,
+    }
 }
 
 /// Reads a mesh.
@@ -300,13 +368,37 @@ pub fn write_surface(_surface: &SurfaceMesh, path: &Path, _options: &WriteOption
 /// # Errors
 /// [`Error::Io`], [`Error::Format`] with the line or byte, [`Error::Unsupported`] for an unknown ending.
 pub fn read_mesh(path: &Path) -> Result<MixedMesh> {
-    Err(Error::Unsupported { reason: format!("{}: reading meshes", path.display()) })
+    let name = |error| match error {
+        Error::InvalidInput { message, findings } => {
+            Error::InvalidInput { message: format!("{}: {message}", path.display()), findings }
+        }
+        other => other,
+    };
+    read_file_mesh(path)?.into_mixed_mesh().map_err(name)
 }
 
 /// Writes a mesh.
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Unsupported`].
-pub fn write_mesh(_mesh: &MixedMesh, path: &Path, _options: &WriteOptions) -> Result<()> {
-    Err(Error::Unsupported { reason: format!("{}: writing meshes", path.display()) })
+pub fn write_mesh(mesh: &MixedMesh, path: &Path, options: &WriteOptions) -> Result<()> {
+    let format = options.format.map_or_else(|| MeshFormat::of_path(path), Ok)?;
+    match format {
+        MeshFormat::Vtu => write_atomically(path, |out| vtk_xml_writer::write_vtu(mesh, options, out)),
+        MeshFormat::Vtk42 | MeshFormat::Vtk51 => {
+            write_atomically(path, |out| vtk_legacy_writer::write_mesh(mesh, format, options, out))
+        }
+        MeshFormat::Vtp | MeshFormat::Stl | MeshFormat::Off | MeshFormat::Obj | MeshFormat::Ply | MeshFormat::Surf => {
+            let with_boundary = with_boundary(mesh);
+            let export = SurfaceExport::of_mesh(with_boundary.as_ref().unwrap_or(mesh), SurfaceSelection::All)?;
+            write_surface_export(&export, path, options)
+        }
+        _ => Err(Error::Unsupported { reason: format!("{}: {format:?} is not written", path.display()) }),
+    }
+}
+
+/// The mesh with its boundary where it has none yet.
+fn with_boundary(mesh: &MixedMesh) -> Option<MixedMesh> {
+    let bare = mesh.boundary.triangles.is_empty() && mesh.boundary.quads.is_empty();
+    bare.then(|| MixedMesh { boundary: extract_boundary(mesh), ..mesh.clone() })
 }

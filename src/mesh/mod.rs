@@ -1,5 +1,6 @@
 //! Meshes: the editable tet complex, the finished mixed mesh, surfaces, quality and validation.
 
+pub mod boundary;
 pub mod mixed_mesh;
 pub mod numbering;
 pub mod quality;
