@@ -76,9 +76,9 @@ impl FileMesh {
         self.tags.push(tag);
     }
 
-    /// The nodes of a cell.
-    pub fn nodes(&self, cell: usize) -> &[i64] {
-        &self.connectivity[self.offsets[cell] as usize..self.offsets[cell + 1] as usize]
+    /// Whether a cell is a volume element.
+    pub fn has_volume(&self) -> bool {
+        self.types.iter().any(|&t| t == cell::VOXEL || ElementKind::from_vtk_type(t).is_some())
     }
 
     /// The frame of a `SPACE=` tag.

@@ -11,6 +11,9 @@
 mod aflr;
 mod atomic_file;
 mod file_mesh;
+mod gmsh_reader;
+mod gmsh_writer;
+mod medit;
 mod metaimage;
 mod nifti;
 mod nrrd;
@@ -39,7 +42,7 @@ use glam::DVec3;
 use crate::error::{Error, Result};
 use crate::image::voxel_image::VoxelImage;
 use crate::mesh::boundary::extract_boundary;
-use crate::mesh::mixed_mesh::{MixedMesh, Space};
+use crate::mesh::mixed_mesh::{BoundaryFaces, MixedMesh, Space};
 use crate::mesh::surface_mesh::{Patch, SurfaceMesh};
 
 /// A format of mesh and surface files.
@@ -236,13 +239,44 @@ use map_voxels;
 /// # Errors
 /// [`Error::Io`], [`Error::Format`] with the line or byte, [`Error::Unsupported`] for an unknown ending.
 pub fn read_surface(path: &Path) -> Result<SurfaceMesh> {
-    let name = |error| match error {
+    read_file_mesh(path)?.into_surface().map_err(|e| named(e, path))
+}
+
+/// What a mesh or surface file holds.
+#[derive(Debug, Clone)]
+pub enum Content {
+    /// Volume elements.
+    Mesh(MixedMesh),
+    /// Triangles only, in the frame that the file states.
+    Surface(SurfaceMesh, Space),
+}
+
+/// Reads a mesh, or a surface where the file has no volume element.
+///
+/// # Errors
+/// As [`read_mesh`] and [`read_surface`].
+pub fn read_content(path: &Path) -> Result<Content> {
+    let file = read_file_mesh(path)?;
+    if file.has_volume() {
+        return Ok(Content::Mesh(file.into_mixed_mesh().map_err(|e| named(e, path))?));
+    }
+    let space = file.space;
+    Ok(Content::Surface(file.into_surface().map_err(|e| named(e, path))?, space))
+}
+
+/// Whether the name is that of a mesh or surface file.
+pub fn is_mesh_path(path: &Path) -> bool {
+    MeshFormat::of_path(path).is_ok()
+}
+
+/// The error with the file's name in front.
+fn named(error: Error, path: &Path) -> Error {
+    match error {
         Error::InvalidInput { message, findings } => {
             Error::InvalidInput { message: format!("{}: {message}", path.display()), findings }
         }
         other => other,
-    };
-    read_file_mesh(path)?.into_surface().map_err(name)
+    }
 }
 
 /// Reads any mesh or surface file.
@@ -250,6 +284,8 @@ fn read_file_mesh(path: &Path) -> Result<file_mesh::FileMesh> {
     match MeshFormat::of_path(path)? {
         MeshFormat::Vtu | MeshFormat::Vtp => vtk_xml_reader::read(path),
         MeshFormat::Vtk42 | MeshFormat::Vtk51 => vtk_legacy_reader::read(path),
+        MeshFormat::Msh22 | MeshFormat::Msh41 => gmsh_reader::read(path),
+        MeshFormat::Medit | MeshFormat::MeditBinary => medit::read(path),
         MeshFormat::Off => off::read(path),
         MeshFormat::Obj => obj::read(path),
         MeshFormat::Stl => stl::read(path),
@@ -331,7 +367,31 @@ pub fn write_surface_export(export: &SurfaceExport, path: &Path, options: &Write
             let title = space.map_or("Meshwright".to_owned(), |name| format!("Meshwright SPACE={name}"));
             write_atomically(path, |out| stl::write_binary(surface, &title, out))
         }
+        MeshFormat::Msh22 | MeshFormat::Msh41 | MeshFormat::Medit | MeshFormat::MeditBinary => {
+            let lone = mesh_of_surface(export);
+            let options = WriteOptions { patches: surface.patches.clone(), ..options.clone() };
+            write_mesh(&lone, path, &options)
+        }
         _ => Err(Error::Unsupported { reason: format!("{}: {format:?} holds no lone surface", path.display()) }),
+    }
+}
+
+/// A mesh of boundary triangles only.
+fn mesh_of_surface(export: &SurfaceExport) -> MixedMesh {
+    let surface = &export.surface;
+    let boundary = BoundaryFaces {
+        triangles: surface.facets.clone(),
+        labels: vec![[0, 0]; surface.facets.len()],
+        elements: vec![[-1, -1]; surface.facets.len()],
+        patches: surface.facet_patches.clone(),
+        ..BoundaryFaces::default()
+    };
+    MixedMesh {
+        points: surface.points.clone(),
+        offsets: vec![0],
+        boundary,
+        space: export.space,
+        ..MixedMesh::default()
     }
 }
 
@@ -368,13 +428,7 @@ fn space_name(space: Space) -> Option<&'static str> {
 /// # Errors
 /// [`Error::Io`], [`Error::Format`] with the line or byte, [`Error::Unsupported`] for an unknown ending.
 pub fn read_mesh(path: &Path) -> Result<MixedMesh> {
-    let name = |error| match error {
-        Error::InvalidInput { message, findings } => {
-            Error::InvalidInput { message: format!("{}: {message}", path.display()), findings }
-        }
-        other => other,
-    };
-    read_file_mesh(path)?.into_mixed_mesh().map_err(name)
+    read_file_mesh(path)?.into_mixed_mesh().map_err(|e| named(e, path))
 }
 
 /// Writes a mesh.
@@ -392,6 +446,15 @@ pub fn write_mesh(mesh: &MixedMesh, path: &Path, options: &WriteOptions) -> Resu
             let with_boundary = with_boundary(mesh);
             let export = SurfaceExport::of_mesh(with_boundary.as_ref().unwrap_or(mesh), SurfaceSelection::All)?;
             write_surface_export(&export, path, options)
+        }
+        MeshFormat::Msh22 | MeshFormat::Msh41 | MeshFormat::Medit | MeshFormat::MeditBinary => {
+            let with_boundary = if options.surfaces == Surfaces::Include { with_boundary(mesh) } else { None };
+            let mesh = with_boundary.as_ref().unwrap_or(mesh);
+            if matches!(format, MeshFormat::Medit | MeshFormat::MeditBinary) {
+                write_atomically(path, |out| medit::write(mesh, format, options, out))
+            } else {
+                write_atomically(path, |out| gmsh_writer::write(mesh, format, options, out))
+            }
         }
         _ => Err(Error::Unsupported { reason: format!("{}: {format:?} is not written", path.display()) }),
     }

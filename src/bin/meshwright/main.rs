@@ -6,14 +6,22 @@
 //! about a failure to stderr, and the exit code says what kind of failure it was.
 
 mod arguments;
+mod check;
 mod convert;
 mod exit_code;
 mod info;
+mod job_inputs;
+mod job_outputs;
+mod jobs;
+mod progress;
+mod quality;
 mod report;
+mod slicer_xml;
 
 use std::process::ExitCode;
 
 use meshwright::Error;
+use meshwright::pipeline::JobKind;
 
 fn main() -> ExitCode {
     let arguments = arguments::normalized(std::env::args_os());
@@ -21,13 +29,17 @@ fn main() -> ExitCode {
         Ok(matches) => matches,
         Err(error) => return report::usage_error(&error),
     };
-    let result = match matches.subcommand() {
-        Some(("convert", matches)) => convert::run(matches),
-        Some(("info", matches)) => info::run(matches),
-        _ => Err(Error::Unsupported { reason: "no such subcommand".into() }),
+    let Some((name, matches)) = matches.subcommand() else {
+        return report::failure(&Error::Unsupported { reason: "no subcommand given".into() });
     };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => report::failure(&error),
+    if let Some(kind) = JobKind::ALL.into_iter().find(|kind| kind.name() == name) {
+        return report::outcome(jobs::run(kind, matches));
     }
+    report::outcome(match name {
+        "quality" => quality::run(matches),
+        "check" => check::run(matches),
+        "convert" => convert::run(matches),
+        "info" => info::run(matches),
+        other => Err(Error::Unsupported { reason: format!("no subcommand {other}") }),
+    })
 }

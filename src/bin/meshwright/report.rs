@@ -42,6 +42,11 @@ pub fn usage_error(error: &clap::Error) -> ExitCode {
     ExitCode::from(exit_code::USAGE)
 }
 
+/// The exit code of a finished run; a failed one is told on stderr.
+pub fn outcome(result: Result<()>) -> ExitCode {
+    result.map_or_else(|error| failure(&error), |()| ExitCode::SUCCESS)
+}
+
 /// One line on stderr about what ended the run; findings below it.
 pub fn failure(error: &Error) -> ExitCode {
     say(&error.to_string().replace('\n', " "));

@@ -1,0 +1,173 @@
+//! The three jobs: reads the inputs, runs the pipeline, writes what was asked for.
+//!
+//! # Method
+//! 1. Values from the command line, checked against the table; the places of all outputs are looked at first, so that
+//!    a long run does not end at a missing folder.
+//! 2. Inputs are read, the pipeline runs, Ctrl-C cancels it.
+//! 3. Outputs are written, each whole or not at all; statistics and findings go to `--json` also when the run failed.
+
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::ArgMatches;
+use meshwright::context::{CancelToken, RunContext, WorkerPool};
+use meshwright::parameters::{Kind, ParameterSet};
+use meshwright::pipeline::{JobKind, Output, image_to_mesh, registration, surface_to_mesh};
+use meshwright::statistics::Statistics;
+use meshwright::{Error, Finding, Result, io};
+use serde_json::json;
+
+use crate::progress::Progress;
+use crate::{arguments, job_inputs, job_outputs, report, slicer_xml};
+
+/// Runs a job.
+///
+/// # Errors
+/// Those of the files and of the pipeline.
+pub fn run(kind: JobKind, matches: &ArgMatches) -> Result<()> {
+    if arguments::is_given(matches, "xml") {
+        return report::print(&slicer_xml::describe(kind));
+    }
+    let begin = Instant::now();
+    let set = arguments::parameters(matches, kind.parameters())?;
+    check_outputs(matches, &set)?;
+    let cancel = CancelToken::default();
+    let handler = cancel.clone();
+    // Where the system refuses a handler, Ctrl-C ends the process as ever.
+    let _ = ctrlc::set_handler(move || handler.cancel());
+    let context = RunContext::new(WorkerPool::new(arguments::threads(matches))?, cancel);
+    let quiet = arguments::is_given(matches, "quiet");
+    let mut progress = Progress::new(kind.name(), arguments::is_given(matches, "slicer-progress"), quiet);
+    let mut statistics = Statistics::default();
+    let result = run_pipeline(kind, &set, &context, &mut progress, &mut statistics)
+        .and_then(|output| finish(kind, matches, &set, output, &mut statistics));
+    progress.finish();
+    statistics.set("time.total", begin.elapsed().as_secs_f64());
+    statistics.set("threads", context.threads() as f64);
+    add_process_figures(&mut statistics);
+    let mut findings = context.take_findings();
+    if let Err(error) = &result {
+        // A failed run's findings come with its error; the same ones may stand in the record too.
+        let more: Vec<Finding> = error.findings().iter().filter(|f| !findings.contains(f)).cloned().collect();
+        findings.extend(more);
+    }
+    if let Some(path) = arguments::path(matches, "json") {
+        let error = result.as_ref().err().map(ToString::to_string);
+        let value = json!({
+            "program": "meshwright",
+            "version": env!("CARGO_PKG_VERSION"),
+            "command": kind.name(),
+            "error": error,
+            "statistics": report::nested(statistics.entries()),
+            "findings": report::findings_json(&findings),
+        });
+        report::write_json(&value, path)?;
+    }
+    let summary = result?;
+    if let Some(path) = arguments::path(matches, "returnparameterfile") {
+        job_outputs::write_return_parameters(kind, &statistics, path)?;
+    }
+    if !quiet {
+        report::show_findings(&findings);
+        if arguments::path(matches, "json").is_none_or(|p| p != Path::new("-")) {
+            report::print(&format!("{summary}\n"))?;
+        }
+    }
+    Ok(())
+}
+
+/// Looks at every output before the work starts.
+fn check_outputs(matches: &ArgMatches, set: &ParameterSet) -> Result<()> {
+    let mut paths: Vec<PathBuf> = Vec::new();
+    for parameter in set.table() {
+        if let Kind::OutputFile { extensions } = parameter.kind
+            && let Some(text) = set.text(parameter.name)
+        {
+            let path = PathBuf::from(text);
+            if extensions.contains(&".vtu") && !arguments::is_device(&path) {
+                arguments::write_options(matches, &path)?;
+            } else if extensions.contains(&".nrrd") && !arguments::is_device(&path) && !io::is_image_path(&path) {
+                let reason = format!("{}: images are written as {}", path.display(), extensions.join(" "));
+                return Err(Error::Unsupported { reason });
+            }
+            paths.push(path);
+        }
+    }
+    if let Some(path) = arguments::path(matches, "output-surface") {
+        arguments::write_options(matches, path)?;
+        paths.push(path.clone());
+    }
+    paths.extend(["returnparameterfile", "json"].iter().filter_map(|n| arguments::path(matches, n)).cloned());
+    paths.iter().filter(|p| **p != Path::new("-")).try_for_each(|path| io::check_writable(path))
+}
+
+fn run_pipeline(
+    kind: JobKind,
+    set: &ParameterSet,
+    context: &RunContext,
+    progress: &mut Progress,
+    statistics: &mut Statistics,
+) -> Result<Output> {
+    let begin = Instant::now();
+    let mut tick = |stage: &'static str, fraction: f64| {
+        progress.show(stage, fraction);
+        ControlFlow::Continue(())
+    };
+    let output = match kind {
+        JobKind::ImageToMesh => {
+            let inputs = job_inputs::ImageInputs::read(set)?;
+            statistics.set("time.read", begin.elapsed().as_secs_f64());
+            let input = image_to_mesh::Input { labels: &inputs.labels, fixed_points: &inputs.fixed_points };
+            context.run(&mut tick, |context| image_to_mesh::run(&input, set, context))?
+        }
+        JobKind::SurfaceToMesh => {
+            let inputs = job_inputs::SurfaceInputs::read(set)?;
+            statistics.set("time.read", begin.elapsed().as_secs_f64());
+            let input = surface_to_mesh::Input { surface: &inputs.surface, sizing: inputs.sizing.as_ref() };
+            context.run(&mut tick, |context| surface_to_mesh::run(&input, set, context))?
+        }
+        JobKind::Registration => {
+            let inputs = job_inputs::RegistrationInputs::read(set)?;
+            statistics.set("time.read", begin.elapsed().as_secs_f64());
+            context.run(&mut tick, |context| registration::run(&inputs.as_input(), set, context))?
+        }
+    };
+    statistics.extend(&output.statistics);
+    Ok(output)
+}
+
+/// Writes the outputs; returns the line that says what was made.
+fn finish(
+    kind: JobKind,
+    matches: &ArgMatches,
+    set: &ParameterSet,
+    output: Output,
+    statistics: &mut Statistics,
+) -> Result<String> {
+    let begin = Instant::now();
+    if let Some(mesh) = &output.mesh {
+        statistics.set("mesh.points", mesh.points.len() as f64);
+        statistics.set("mesh.elements", mesh.element_count() as f64);
+    }
+    job_outputs::write(kind, matches, set, &output)?;
+    statistics.set("time.write", begin.elapsed().as_secs_f64());
+    Ok(job_outputs::summary(kind, &output, statistics))
+}
+
+/// Peak memory and processor time of the process, where the system tells them.
+fn add_process_figures(statistics: &mut Statistics) {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let peak =
+        status.lines().find_map(|l| l.strip_prefix("VmHWM:")?.trim().strip_suffix(" kB")?.trim().parse::<f64>().ok());
+    if let Some(kilobytes) = peak {
+        statistics.set("memory.peak", kilobytes * 1024.0);
+    }
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    // Fields 14 and 15, counted behind the name in parentheses, in hundredths of a second.
+    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or("").split_whitespace().collect();
+    let ticks = |n: usize| fields.get(n).and_then(|f| f.parse::<f64>().ok());
+    if let (Some(user), Some(system)) = (ticks(11), ticks(12)) {
+        statistics.set("time.cpu", (user + system) / 100.0);
+    }
+}
