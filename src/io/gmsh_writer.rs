@@ -43,8 +43,8 @@ struct Group<'a> {
     entity: i32,
     vtk_type: u8,
     rows: Vec<&'a [VertexId]>,
-    /// Number of each row among all elements of the mesh; empty for faces.
-    elements: Vec<usize>,
+    /// The element whose values belong to each row; for a face the one inside.
+    elements: Vec<Option<usize>>,
 }
 
 /// The output with what holds for all of it.
@@ -79,21 +79,11 @@ pub fn write(mesh: &MixedMesh, format: MeshFormat, options: &WriteOptions, out: 
         gmsh.nodes_22(mesh, signs)?;
         gmsh.elements_22(&groups)?;
     }
-    for array in &mesh.point_data {
-        gmsh.data("NodeData", array, &(1..=mesh.points.len()).collect::<Vec<_>>())?;
-    }
-    // Elements are numbered in the order of the groups.
-    let mut numbers = vec![0; mesh.element_count()];
-    let mut next = 0;
-    for group in &groups {
-        for row in 0..group.rows.len() {
-            next += 1;
-            if let Some(&element) = group.elements.get(row) {
-                numbers[element] = next;
-            }
-        }
-    }
-    mesh.element_data.iter().try_for_each(|array| gmsh.data("ElementData", array, &numbers))
+    let points: Vec<Option<usize>> = (0..mesh.points.len()).map(Some).collect();
+    mesh.point_data.iter().try_for_each(|array| gmsh.data("NodeData", array, &points))?;
+    // Elements are numbered in the order of the groups, and every one gets a value: meshio reads nothing else.
+    let elements: Vec<Option<usize>> = groups.iter().flat_map(|g| g.elements.iter().copied()).collect();
+    mesh.element_data.iter().try_for_each(|array| gmsh.data("ElementData", array, &elements))
 }
 
 fn groups_of<'a>(mesh: &'a MixedMesh, tags: &[i32]) -> Vec<Group<'a>> {
@@ -107,12 +97,17 @@ fn groups_of<'a>(mesh: &'a MixedMesh, tags: &[i32]) -> Vec<Group<'a>> {
             elements: Vec::new(),
         });
         group.rows.push(row);
-        group.elements.extend(element);
+        group.elements.push(element);
     };
     let boundary = &mesh.boundary;
-    boundary.triangles.iter().zip(tags).for_each(|(t, &tag)| add(2, tag, cell::TRIANGLE, t, None));
-    let quad_tags = tags.iter().skip(boundary.triangles.len());
-    boundary.quads.iter().zip(quad_tags).for_each(|(q, &tag)| add(2, tag, cell::QUAD, q, None));
+    let inside = |face: usize| boundary.elements.get(face).and_then(|e| usize::try_from(e[0]).ok());
+    let triangles = boundary.triangles.len();
+    for (face, (row, &tag)) in boundary.triangles.iter().zip(tags).enumerate() {
+        add(2, tag, cell::TRIANGLE, row, inside(face));
+    }
+    for (face, (row, &tag)) in boundary.quads.iter().zip(tags.iter().skip(triangles)).enumerate() {
+        add(2, tag, cell::QUAD, row, inside(triangles + face));
+    }
     for element in 0..mesh.element_count() {
         add(3, mesh.labels[element], mesh.types[element], mesh.element(element).1, Some(element));
     }
@@ -288,26 +283,27 @@ impl Gmsh<'_> {
         writeln!(self.out, "$EndElements")
     }
 
-    /// Node or element data; `numbers` holds the number of each row.
-    fn data(&mut self, section: &str, array: &NamedArray, numbers: &[usize]) -> std::io::Result<()> {
+    /// Node or element data: for each number from 1 on the row of the array, or none for 0.
+    fn data(&mut self, section: &str, array: &NamedArray, rows: &[Option<usize>]) -> std::io::Result<()> {
         let name = array.name.replace('"', "'");
         // Gmsh knows scalars, vectors and tensors.
         let width = [1, 3, 9].into_iter().find(|&w| w >= array.components);
         let Some(width) = width else {
             return Err(std::io::Error::other(format!("Gmsh has no array of {} components", array.components)));
         };
-        writeln!(self.out, "${section}\n1\n\"{name}\"\n1\n0\n3\n0\n{width}\n{}", numbers.len())?;
+        writeln!(self.out, "${section}\n1\n\"{name}\"\n1\n0\n3\n0\n{width}\n{}", rows.len())?;
         let mut row = vec![0.0; width];
-        for (i, &number) in numbers.iter().enumerate() {
+        for (i, source) in rows.iter().enumerate() {
             for (c, value) in row[..array.components].iter_mut().enumerate() {
-                let at = i * array.components + c;
-                *value = match &array.data {
-                    ArrayData::Int(values) => f64::from(values[at]),
-                    ArrayData::Long(values) => values[at] as f64,
-                    ArrayData::Real(values) => values[at],
+                let at = source.map(|s| s * array.components + c);
+                *value = match (&array.data, at) {
+                    (_, None) => 0.0,
+                    (ArrayData::Int(values), Some(at)) => f64::from(values[at]),
+                    (ArrayData::Long(values), Some(at)) => values[at] as f64,
+                    (ArrayData::Real(values), Some(at)) => values[at],
                 };
             }
-            self.ints(&[number as i32])?;
+            self.ints(&[i as i32 + 1])?;
             self.reals(&row)?;
             self.row()?;
         }

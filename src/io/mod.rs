@@ -19,12 +19,15 @@ mod nifti;
 mod nrrd;
 mod obj;
 mod off;
+mod openfoam;
 mod ply;
 mod polygon;
 mod stl;
+mod su2;
 mod surface_export;
 mod tetgen;
 mod text_scan;
+mod ugrid;
 mod voxel_stream;
 mod vtk_legacy_reader;
 mod vtk_legacy_writer;
@@ -41,7 +44,8 @@ use glam::DVec3;
 
 use crate::error::{Error, Result};
 use crate::image::voxel_image::VoxelImage;
-use crate::mesh::boundary::extract_boundary;
+use crate::index::VertexId;
+use crate::mesh::boundary::{extract_boundary, face_pairs, faces_of};
 use crate::mesh::mixed_mesh::{BoundaryFaces, MixedMesh, Space};
 use crate::mesh::surface_mesh::{Patch, SurfaceMesh};
 
@@ -284,6 +288,8 @@ fn read_file_mesh(path: &Path) -> Result<file_mesh::FileMesh> {
     match MeshFormat::of_path(path)? {
         MeshFormat::Vtu | MeshFormat::Vtp => vtk_xml_reader::read(path),
         MeshFormat::Vtk42 | MeshFormat::Vtk51 => vtk_legacy_reader::read(path),
+        format @ (MeshFormat::Ugrid | MeshFormat::UgridBig | MeshFormat::UgridLittle) => ugrid::read(path, format),
+        MeshFormat::Su2 => su2::read(path),
         MeshFormat::Msh22 | MeshFormat::Msh41 => gmsh_reader::read(path),
         MeshFormat::Medit | MeshFormat::MeditBinary => medit::read(path),
         MeshFormat::Off => off::read(path),
@@ -456,7 +462,74 @@ pub fn write_mesh(mesh: &MixedMesh, path: &Path, options: &WriteOptions) -> Resu
                 write_atomically(path, |out| gmsh_writer::write(mesh, format, options, out))
             }
         }
-        _ => Err(Error::Unsupported { reason: format!("{}: {format:?} is not written", path.display()) }),
+        MeshFormat::Ugrid | MeshFormat::UgridBig | MeshFormat::UgridLittle => {
+            let with_boundary = with_boundary(mesh);
+            ugrid::write(with_boundary.as_ref().unwrap_or(mesh), path, format, options)
+        }
+        MeshFormat::Su2 => {
+            refuse_quadratic(mesh, "SU2")?;
+            let with_boundary = with_boundary(mesh);
+            write_atomically(path, |out| su2::write(with_boundary.as_ref().unwrap_or(mesh), options, out))
+        }
+        MeshFormat::OpenFoam => {
+            let with_boundary = with_boundary(mesh);
+            openfoam::write(with_boundary.as_ref().unwrap_or(mesh), path, options)
+        }
+        MeshFormat::Poly | MeshFormat::Smesh => {
+            Err(Error::Unsupported { reason: format!("{}: {format:?} is not written", path.display()) })
+        }
+    }
+}
+
+/// Formats of flow solvers hold linear elements only.
+fn refuse_quadratic(mesh: &MixedMesh, format: &str) -> Result<()> {
+    if mesh.types.iter().any(|&t| t > 20) {
+        return Err(Error::Unsupported { reason: format!("{format} holds linear elements only") });
+    }
+    Ok(())
+}
+
+/// Boundary faces with nothing on their other side, triangles first. Faces read from a file do not know their sides:
+/// then those that occur in one element count.
+fn outer_faces(mesh: &MixedMesh) -> Vec<usize> {
+    let boundary = &mesh.boundary;
+    let faces = boundary.triangles.len() + boundary.quads.len();
+    if boundary.elements.iter().any(|e| e[0] >= 0) {
+        return (0..faces).filter(|&f| boundary.elements[f].contains(&-1)).collect();
+    }
+    let key = |corners: &[VertexId]| {
+        let mut key: Vec<u32> = corners.iter().map(|v| v.0).collect();
+        key.sort_unstable();
+        key
+    };
+    let outer: rustc_hash::FxHashSet<Vec<u32>> = face_pairs(mesh)
+        .into_iter()
+        .filter(|pair| pair.neighbor < 0)
+        .map(|pair| {
+            let (kind, vertices) = mesh.element(pair.element as usize);
+            key(&faces_of(kind)[pair.face as usize].iter().map(|&c| vertices[c]).collect::<Vec<_>>())
+        })
+        .collect();
+    let corners = |f: usize| -> &[VertexId] {
+        if f < boundary.triangles.len() {
+            &boundary.triangles[f]
+        } else {
+            &boundary.quads[f - boundary.triangles.len()]
+        }
+    };
+    (0..faces).filter(|&f| outer.contains(&key(corners(f)))).collect()
+}
+
+/// The name of a patch, or of the pair of labels that stands for it.
+fn patch_name(mesh: &MixedMesh, options: &WriteOptions, tag: i32) -> String {
+    let named = options.patches.iter().find(|p| p.id == tag && !p.name.is_empty());
+    let plain = |name: &str| name.replace(|c: char| c.is_whitespace() || "(){};\"".contains(c), "_");
+    match named {
+        Some(patch) => plain(&patch.name),
+        None if mesh.boundary.patches.is_empty() => label_pairs(mesh)
+            .get((tag - 1).max(0) as usize)
+            .map_or_else(|| format!("patch_{tag}"), |p| format!("surface_{}_{}", p[0], p[1])),
+        None => format!("patch_{tag}"),
     }
 }
 
