@@ -1,5 +1,7 @@
 //! Images: where voxels are in the world, and what they hold.
 
+pub mod connected_components;
+pub mod distance_transform;
 pub mod gaussian;
 pub mod gradient;
 pub mod grid;

@@ -29,8 +29,15 @@ pub struct Input<'a> {
 pub fn run(input: &Input, parameters: &ParameterSet, context: &RunContext) -> Result<Output> {
     let mut options = Options::from_parameters(&with_fidelity_file(parameters)?)?;
     options.fixed_points.extend_from_slice(input.fixed_points);
-    let _ = (&options, context);
-    Err(Error::Unsupported { reason: "this build has no lattice engine".into() })
+    let (output, report) = lattice::run(input.labels, &options, context)?;
+    Ok(Output {
+        mesh: Some(output.mesh),
+        meshes: output.meshes,
+        images: output.images,
+        points: output.points,
+        statistics: report.statistics(),
+        ..Output::default()
+    })
 }
 
 /// The parameters with the contents of the `multiple-fidelities` file in place of its name.

@@ -1,0 +1,222 @@
+//! The loop of refinement: elements, labels, comparison with the image, marking, until nothing is missing.
+//!
+//! # Method
+//! 1. Close the lattice with greens, label by centroid, count mismatches ([`super::voxel_fidelity`]).
+//! 2. Where labels lack fidelity or components are lost, mark leaves and refine ([`super::subdivision_criteria`]).
+//! 3. Otherwise relabel the candidate mesh ([`super::element_labels`]) and count again; refine where that costs the
+//!    fidelity. At the finest level the relabelling spares what a label needs instead.
+//!
+//! # Source
+//! [Drakopoulos2017] 2.3.3.
+//!
+//! # Invariants
+//! Each round refines at least one leaf, levels are bounded, so the loop ends. What is still missing then is returned
+//! and reported as findings.
+
+use crate::context::RunContext;
+use crate::error::{Error, Finding, FindingCode, Result, Severity};
+use crate::image::connected_components::{Components, Connectivity, Members};
+use crate::image::distance_transform::distance_to_other_labels;
+use crate::image::label_image::LabelImage;
+use crate::lattice::bcc_lattice::{Field, LatticeFrame};
+use crate::lattice::candidate_mesh::CandidateMesh;
+use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
+use crate::lattice::face_adjacency::neighbors_of;
+use crate::lattice::options::Options;
+use crate::lattice::red_green::{Elements, RedGreenLattice};
+use crate::lattice::report::Report;
+use crate::lattice::subdivision_criteria::{Deficit, Targets, finest_level, mark_leaves};
+use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, count_voxels, mismatches};
+
+use crate::index::VertexId;
+
+/// Progress of the whole run when refinement begins and ends.
+const PROGRESS: (f64, f64) = (0.1, 0.6);
+
+/// What refinement works with.
+pub struct RefinementInput<'a> {
+    /// The cleaned segmentation, internal labels.
+    pub image: &'a LabelImage,
+    /// The caller's value of each internal label.
+    pub values: &'a [i32],
+    /// What is asked of each label.
+    pub targets: &'a Targets,
+    /// Edge of the coarsest cubes, mm.
+    pub spacing: f64,
+}
+
+/// Refines until every label has its fidelity and every component an element.
+///
+/// # Errors
+/// Those of [`LatticeFrame::new`]; [`Error::Cancelled`], [`Error::LimitReached`].
+pub fn refine(
+    input: &RefinementInput,
+    options: &Options,
+    report: &mut Report,
+    context: &RunContext,
+) -> Result<CandidateMesh> {
+    context.progress("distance transform", 0.02);
+    let frame = LatticeFrame::new(input.image, input.spacing)?;
+    let distance = report.timed("distance_transform", || distance_to_other_labels(input.image, context))?;
+    let components =
+        report.timed("components", || Components::new(input.image, Connectivity::Vertex, Members::Foreground));
+    let totals = count_voxels(input.image.voxels(), input.values.len());
+    let field = Field::new(input.image, &distance);
+    context.progress("lattice", PROGRESS.0);
+    let mut lattice = report.timed("lattice", || RedGreenLattice::new(frame, field, options.max_elements, context))?;
+    let mut rounds = Rounds { input, components, totals, report, context };
+    let elements = rounds.run(&mut lattice)?;
+    report.set("lattice.level", f64::from(lattice.deepest_level()));
+    report.set("lattice.spacing", input.spacing);
+    Ok(report.timed("compaction", || compact(&lattice, &elements)))
+}
+
+struct Rounds<'a> {
+    input: &'a RefinementInput<'a>,
+    components: Components,
+    totals: Vec<LabelCount>,
+    report: &'a mut Report,
+    context: &'a RunContext,
+}
+
+impl Rounds<'_> {
+    fn run(&mut self, lattice: &mut RedGreenLattice) -> Result<Elements> {
+        let finest = finest_level(lattice, self.input.image);
+        for round in 0.. {
+            let reached = f64::from(round) / (f64::from(round) + 4.0);
+            self.context.progress("refinement", PROGRESS.0 + (PROGRESS.1 - PROGRESS.0) * reached);
+            let mut elements = self.report.timed("elements", || lattice.elements(self.context))?;
+            let mut found = self.count(lattice, &elements)?;
+            let mut deficit = self.deficit(&found);
+            let mut marked = mark_leaves(lattice, &elements, &found, &deficit, &self.input.targets.clone(), finest);
+            if !marked.contains(&true) {
+                let by_centroid = elements.labels.clone();
+                let relabelled = self.relabel(lattice, &mut elements, |_| false)?;
+                found = self.count(lattice, &elements)?;
+                let after = self.deficit(&found);
+                if after.lost.len() > deficit.lost.len() || worse(&after, &deficit) {
+                    marked = mark_leaves(lattice, &elements, &found, &after, self.input.targets, finest);
+                    if !marked.contains(&true) {
+                        // At the finest level: keep the elements that hold voxels of their own label.
+                        elements.labels = by_centroid;
+                        self.relabel_within_fidelity(lattice, &mut elements)?;
+                        found = self.count(lattice, &elements)?;
+                    }
+                }
+                deficit = self.deficit(&found);
+                if !marked.contains(&true) {
+                    self.finish(&deficit, relabelled);
+                    self.report.set("lattice.rounds", f64::from(round));
+                    return Ok(elements);
+                }
+            }
+            let context = self.context;
+            self.report.timed("refinement", || lattice.refine(marked, context))?;
+        }
+        Err(Error::Internal { reason: "refinement ran out of rounds".into() })
+    }
+
+    fn count(&mut self, lattice: &RedGreenLattice, elements: &Elements) -> Result<Vec<Mismatch>> {
+        self.report.timed("fidelity", || mismatches(lattice, elements, &self.components, self.context))
+    }
+
+    fn deficit(&self, found: &[Mismatch]) -> Deficit {
+        Deficit::new(&self.totals, found, &self.components, self.input.targets)
+    }
+
+    fn relabel(
+        &mut self,
+        lattice: &RedGreenLattice,
+        elements: &mut Elements,
+        is_kept: impl Fn(usize) -> bool,
+    ) -> Result<Relabelled> {
+        let vertices = lattice.vertices.positions.len();
+        let neighbors = self.report.timed("adjacency", || neighbors_of(&elements.tets, vertices))?;
+        Ok(self.report.timed("relabelling", || relabel_for_smoothing(&mut elements.labels, &neighbors, is_kept)))
+    }
+
+    /// Relabels only elements that hold no voxel centre of their own label.
+    fn relabel_within_fidelity(&mut self, lattice: &RedGreenLattice, elements: &mut Elements) -> Result<()> {
+        use crate::index::Label;
+        use crate::lattice::voxel_fidelity::for_each_foreign_voxel;
+        use rayon::prelude::*;
+        // A label that no voxel has makes every voxel of the element foreign.
+        let nobody = Label(u16::MAX);
+        let holds: Vec<bool> = elements
+            .tets
+            .par_iter()
+            .map(|tet| {
+                let mut any = false;
+                for_each_foreign_voxel(lattice, tet, nobody, |_, _| any = true);
+                any
+            })
+            .collect();
+        self.relabel(lattice, elements, |e| holds[e])?;
+        Ok(())
+    }
+
+    fn finish(&mut self, deficit: &Deficit, relabelled: Relabelled) {
+        let report = &mut self.report;
+        report.set("relabelling.changes", relabelled.changes as f64);
+        report.set("relabelling.remaining", relabelled.remaining as f64);
+        let voxel = self.input.image.grid();
+        for (label, count) in deficit.counts.iter().enumerate().skip(1) {
+            let value = self.input.values[label];
+            if count.image == 0 {
+                continue;
+            }
+            let common = (count.image - count.missed) as f64;
+            report.set(format!("label.{value}.f1"), common / (common + count.wrong as f64).max(1.0));
+            report.set(format!("label.{value}.f2"), common / count.image as f64);
+            if deficit.lacking[label] {
+                let reached = count.fidelity();
+                let text = format!("label {value} reaches a fidelity of {reached:.4} only");
+                let finding = Finding::new(FindingCode::FidelityNotReached, Severity::Warning, text);
+                self.context.report(finding.with_ids(i64::from(value), -1));
+            }
+        }
+        for lost in &deficit.lost {
+            let component = self.components.components()[*lost as usize];
+            let value = self.input.values[component.label.index()];
+            let whole = deficit.counts[component.label.index()].image == component.voxels;
+            let code = if whole { FindingCode::LabelLost } else { FindingCode::ComponentLost };
+            let text = format!("a component of label {value} with {} voxels has no element", component.voxels);
+            let [i, j, k] = component.first.map(|v| v as f64);
+            self.context.report(
+                Finding::new(code, Severity::Warning, text)
+                    .with_ids(i64::from(value), component.voxels as i64)
+                    .at(voxel.index_to_world(glam::DVec3::new(i, j, k)).to_array()),
+            );
+        }
+    }
+}
+
+/// Whether a label lacks fidelity after the relabelling that had it before.
+fn worse(after: &Deficit, before: &Deficit) -> bool {
+    after.lacking.iter().zip(&before.lacking).any(|(a, b)| *a && !*b)
+}
+
+/// The labelled elements with their vertices renumbered in the order of first use.
+fn compact(lattice: &RedGreenLattice, elements: &Elements) -> CandidateMesh {
+    let labelled = elements.labels.iter().filter(|l| !l.is_background()).count();
+    let mut mesh = CandidateMesh {
+        tets: Vec::with_capacity(labelled),
+        tet_labels: Vec::with_capacity(labelled),
+        ..CandidateMesh::default()
+    };
+    let mut renumbered = vec![u32::MAX; lattice.vertices.positions.len()];
+    for (tet, label) in elements.tets.iter().zip(&elements.labels) {
+        if label.is_background() {
+            continue;
+        }
+        mesh.tets.push(tet.map(|v| {
+            if renumbered[v as usize] == u32::MAX {
+                renumbered[v as usize] = mesh.points.len() as u32;
+                mesh.points.push(lattice.frame.local(lattice.vertices.positions[v as usize]));
+            }
+            VertexId(renumbered[v as usize])
+        }));
+        mesh.tet_labels.push(*label);
+    }
+    mesh
+}

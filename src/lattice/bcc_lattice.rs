@@ -1,0 +1,282 @@
+//! The body-centred cubic lattice: frame, integer vertices, and the coarsest tets over the labelled region.
+//!
+//! # Method
+//! 1. Cubes of edge `spacing` cover the labelled region with one more cube on every side.
+//! 2. Across each face between two cubes stand four tets: the two cube centres (a long edge) and one edge of the face
+//!    (the other long edge).
+//! 3. Tets that cannot hold the centre of a labelled voxel are left out.
+//!
+//! ```text
+//!     c1 ----|---- c2     c1, c2 centres of neighbouring cubes, v1 v2 one of the four edges of their common face:
+//!            v1           tet (c1, c2, v1, v2) has the long edges c1 c2 and v1 v2, both one cube edge.
+//! ```
+//! Vertices are integers in units of `spacing / 2^depth`, so midpoints are exact and a vertex has one key.
+//!
+//! # Source
+//! [Drakopoulos2017] 2.3.3, [Molino2003].
+//!
+//! # Invariants
+//! Long edges of a stored tet are its local edges 01 and 23; orientation is positive.
+
+use glam::{DVec3, IVec3};
+use rustc_hash::FxHashMap;
+
+use crate::context::RunContext;
+use crate::error::{Error, Result};
+use crate::image::label_image::LabelImage;
+use crate::index::Label;
+
+/// Bits per axis of a vertex key: three axes fit one word.
+const KEY_BITS: u32 = 21;
+
+/// Deepest subdivision that the integers are prepared for; an element of the deepest level is 1/4096 of a cube.
+const MAX_DEPTH: u32 = 12;
+
+/// Shift of the lattice against the voxels, in voxels: lattice planes avoid voxel centres and voxel faces, on which the
+/// label of a centroid would hang on rounding. Small against a voxel, different along the axes.
+const GENERIC_SHIFT: DVec3 = DVec3::new(0.0309, 0.0471, 0.0233);
+
+/// Displacement of voxel centres when they are counted, in voxels: a centre never lies on a face of two elements.
+const COUNTING_SHIFT: DVec3 = DVec3::new(1.3e-6, 2.1e-6, 3.7e-6);
+
+/// Distance of a tet's centroid to its farthest vertex, per cube edge: sqrt(5) / 4.
+pub const TET_RADIUS: f64 = 0.559_016_994_374_947_5;
+
+/// Where the lattice lies in the image.
+#[derive(Debug, Clone, Copy)]
+pub struct LatticeFrame {
+    /// Local point (mm) of integer (0, 0, 0).
+    pub origin: DVec3,
+    /// Millimetres per integer step.
+    pub unit: f64,
+    /// Edge of the coarsest cubes, mm.
+    pub spacing: f64,
+    /// Cubes along each axis.
+    pub cubes: IVec3,
+    /// `spacing = unit * 2^depth`; levels of refinement stay below `depth - 1`.
+    pub depth: u32,
+}
+
+impl LatticeFrame {
+    /// The frame over the labelled voxels of `image`.
+    ///
+    /// # Errors
+    /// [`Error::InvalidInput`] for an image without a labelled voxel; [`Error::ParameterValue`] for a spacing larger
+    /// than the image; [`Error::CapacityExceeded`] for more cubes than the integers hold.
+    pub fn new(image: &LabelImage, spacing: f64) -> Result<Self> {
+        let (low, high) = labelled_box(image)?;
+        let voxel = image.grid().spacing();
+        let size = DVec3::from_array(image.grid().size().map(|s| s as f64)) * voxel;
+        if spacing > size.max_element() {
+            let reason = format!("{spacing} mm is larger than the image, {:?} mm", size.to_array());
+            return Err(Error::ParameterValue { name: "lattice-spacing".into(), reason });
+        }
+        let (low, high) = ((low - 0.5) * voxel, (high + 0.5) * voxel);
+        // One cube more on each side: the outermost half cubes hold no tets.
+        let cubes = ((high - low) / spacing).ceil() + 2.0;
+        let needed = (cubes.max_element() + 1.0).log2().ceil();
+        let depth = (f64::from(KEY_BITS) - needed).min(f64::from(MAX_DEPTH));
+        if depth < 3.0 || cubes.x * cubes.y * cubes.z > f64::from(u32::MAX) {
+            let needed = cubes.max_element() as u64;
+            return Err(Error::CapacityExceeded { what: "lattice cubes", needed, limit: 1 << (KEY_BITS - 3) });
+        }
+        let origin = 0.5 * (low + high) - 0.5 * cubes * spacing + GENERIC_SHIFT * voxel.min_element();
+        let depth = depth as u32;
+        Ok(Self { origin, unit: spacing / f64::from(1u32 << depth), spacing, cubes: cubes.as_ivec3(), depth })
+    }
+
+    /// Local point (mm) of an integer vertex.
+    #[inline]
+    pub fn local(&self, vertex: IVec3) -> DVec3 {
+        self.origin + self.unit * vertex.as_dvec3()
+    }
+
+    /// Integer steps of a cube edge at `level`.
+    #[inline]
+    pub fn edge(&self, level: u32) -> i32 {
+        1 << (self.depth - level)
+    }
+
+    /// Cube edge at `level`, mm.
+    #[inline]
+    pub fn edge_length(&self, level: u32) -> f64 {
+        self.spacing / f64::from(1u32 << level)
+    }
+
+    /// Deepest level whose midpoints are still integers.
+    pub fn max_level(&self) -> u32 {
+        self.depth - 2
+    }
+}
+
+/// First and last labelled voxel along each axis.
+fn labelled_box(image: &LabelImage) -> Result<(DVec3, DVec3)> {
+    let [ni, nj, _] = image.grid().size();
+    let (mut low, mut high) = (IVec3::MAX, IVec3::MIN);
+    for (row, voxels) in image.voxels().chunks_exact(ni).enumerate() {
+        let Some(first) = voxels.iter().position(|l| !l.is_background()) else { continue };
+        let last = voxels.iter().rposition(|l| !l.is_background()).unwrap_or(first);
+        let (j, k) = ((row % nj) as i32, (row / nj) as i32);
+        low = low.min(IVec3::new(first as i32, j, k));
+        high = high.max(IVec3::new(last as i32, j, k));
+    }
+    if low.x > high.x {
+        return Err(Error::input("the image has no labelled voxel: everything is background"));
+    }
+    Ok((low.as_dvec3(), high.as_dvec3()))
+}
+
+/// The image as the lattice sees it: labels and distances at local points.
+#[derive(Clone, Copy)]
+pub struct Field<'a> {
+    /// The segmentation.
+    pub image: &'a LabelImage,
+    /// Distance to the nearest voxel of another label, mm.
+    pub distance: &'a [f32],
+    size: IVec3,
+    voxel: DVec3,
+    inverse: DVec3,
+}
+
+impl<'a> Field<'a> {
+    /// A view of an image and its distance transform.
+    pub fn new(image: &'a LabelImage, distance: &'a [f32]) -> Self {
+        let size = IVec3::from_array(image.grid().size().map(|s| s as i32));
+        let voxel = image.grid().spacing();
+        Self { image, distance, size, voxel, inverse: voxel.recip() }
+    }
+
+    /// Size of the image in voxels.
+    pub fn size(&self) -> IVec3 {
+        self.size
+    }
+
+    /// Continuous voxel index of a local point, displaced so that voxel centres are in general position.
+    #[inline]
+    pub fn counting_index(&self, local: DVec3) -> DVec3 {
+        local * self.inverse - COUNTING_SHIFT
+    }
+
+    #[inline]
+    fn nearest(&self, local: DVec3) -> (IVec3, bool) {
+        let index = (local * self.inverse + 0.5).floor().as_ivec3();
+        let clamped = index.clamp(IVec3::ZERO, self.size - 1);
+        (clamped, clamped == index)
+    }
+
+    #[inline]
+    fn offset(&self, index: IVec3) -> usize {
+        index.x as usize + self.size.x as usize * (index.y as usize + self.size.y as usize * index.z as usize)
+    }
+
+    /// The label of the voxel around a local point; background outside of the image.
+    #[inline]
+    pub fn label_at(&self, local: DVec3) -> Label {
+        match self.nearest(local) {
+            (index, true) => self.image.voxels()[self.offset(index)],
+            _ => Label::BACKGROUND,
+        }
+    }
+
+    /// The label that the centres of all voxels within `radius` of `local` share, where there is one label and the
+    /// distance transform shows it.
+    #[inline]
+    pub fn uniform_label(&self, local: DVec3, radius: f64) -> Option<Label> {
+        let (index, inside) = self.nearest(local);
+        let offset = self.offset(index);
+        let label = self.image.voxels()[offset];
+        if !inside && !label.is_background() {
+            return None;
+        }
+        let reach = radius + local.distance(index.as_dvec3() * self.voxel);
+        (f64::from(self.distance[offset]) > reach).then_some(label)
+    }
+
+    /// Whether a ball can hold the centre of a labelled voxel.
+    #[inline]
+    pub fn may_hold_labels(&self, local: DVec3, radius: f64) -> bool {
+        self.uniform_label(local, radius) != Some(Label::BACKGROUND)
+    }
+}
+
+/// Key of an integer vertex.
+#[inline]
+pub fn key_of(vertex: IVec3) -> u64 {
+    vertex.x as u64 | (vertex.y as u64) << KEY_BITS | (vertex.z as u64) << (2 * KEY_BITS)
+}
+
+/// Vertices of the lattice: integers, labels, and the index of each key.
+#[derive(Default)]
+pub struct LatticeVertices {
+    /// Integer coordinates. 12 B / vertex.
+    pub positions: Vec<IVec3>,
+    /// Label of the voxel around the vertex. 2 B / vertex.
+    pub labels: Vec<Label>,
+    index: FxHashMap<u64, u32>,
+}
+
+impl LatticeVertices {
+    /// The vertex at an integer position, made where there is none yet; whether it is new.
+    pub fn insert(&mut self, position: IVec3, frame: &LatticeFrame, field: &Field) -> (u32, bool) {
+        let next = self.positions.len() as u32;
+        let vertex = *self.index.entry(key_of(position)).or_insert(next);
+        if vertex == next {
+            self.positions.push(position);
+            self.labels.push(field.label_at(frame.local(position)));
+        }
+        (vertex, vertex == next)
+    }
+
+    /// The vertex at an integer position.
+    #[inline]
+    pub fn find(&self, position: IVec3) -> Option<u32> {
+        self.index.get(&key_of(position)).copied()
+    }
+
+    /// The vertex at the middle of an edge, where the edge is split.
+    #[inline]
+    pub fn middle(&self, a: u32, b: u32) -> Option<u32> {
+        self.find((self.positions[a as usize] + self.positions[b as usize]) / 2)
+    }
+}
+
+/// The coarsest tets that can hold a labelled voxel, cube by cube.
+///
+/// # Errors
+/// [`Error::Cancelled`], [`Error::LimitReached`].
+pub fn coarsest_tets(
+    frame: &LatticeFrame,
+    field: &Field,
+    vertices: &mut LatticeVertices,
+    context: &RunContext,
+) -> Result<Vec<[u32; 4]>> {
+    let edge = frame.edge(0);
+    let axes = [IVec3::X, IVec3::Y, IVec3::Z];
+    let radius = TET_RADIUS * frame.spacing;
+    let mut tets = Vec::new();
+    for z in 0..frame.cubes.z {
+        context.check()?;
+        for y in 0..frame.cubes.y {
+            for x in 0..frame.cubes.x {
+                let corner = edge * IVec3::new(x, y, z);
+                for axis in 0..3 {
+                    if corner[axis] + edge >= edge * frame.cubes[axis] {
+                        continue;
+                    }
+                    let [along, u, v] = [axes[axis], axes[(axis + 1) % 3], axes[(axis + 2) % 3]];
+                    let center = corner + edge / 2;
+                    let face = corner + edge * along;
+                    let ring = [face, face + edge * u, face + edge * (u + v), face + edge * v];
+                    for side in 0..4 {
+                        let tet = [center, center + edge * along, ring[side], ring[(side + 1) % 4]];
+                        let centroid = 0.25 * tet.iter().map(|p| frame.local(*p)).sum::<DVec3>();
+                        if field.may_hold_labels(centroid, radius) {
+                            tets.push(tet.map(|p| vertices.insert(p, frame, field).0));
+                        }
+                    }
+                }
+            }
+        }
+    }
+    Ok(tets)
+}

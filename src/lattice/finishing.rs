@@ -1,0 +1,180 @@
+//! The finished mesh: world coordinates, the caller's labels, surfaces per label and label pair, mid-edge nodes.
+//!
+//! # Method
+//! 1. Points go from the local frame to the world; where the grid is left-handed, elements are mirrored.
+//! 2. Faces between labels, and between a label and the outside, become the boundary.
+//! 3. On request each edge gets a node in its middle.
+//!
+//! # Invariants
+//! Elements stay in the order tets, pyramids, hexahedra. A face between two labels is listed once, outward from the
+//! smaller caller's label.
+
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+
+use crate::error::{Error, Result};
+use crate::image::grid::Grid;
+use crate::index::VertexId;
+use crate::lattice::candidate_mesh::CandidateMesh;
+use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
+use crate::mesh::mixed_mesh::{BoundaryFaces, ElementKind, MixedMesh, Space};
+use crate::mesh::numbering::{HEX_FACES, PYRAMID_BASE, PYRAMID_TRIANGLES, QUADRATIC_TET_EDGES, TET_FACES};
+
+/// The mesh in world coordinates with the caller's labels and its boundary.
+///
+/// # Errors
+/// [`Error::CapacityExceeded`], [`Error::Internal`] for a mesh that does not conform.
+pub fn to_world(mesh: &CandidateMesh, grid: &Grid, values: &[i32]) -> Result<MixedMesh> {
+    let mut result = MixedMesh {
+        points: mesh.points.par_iter().map(|p| grid.local_to_world(*p)).collect(),
+        space: Space::Lps,
+        ..MixedMesh::default()
+    };
+    let mirrored = !grid.is_right_handed();
+    let entries = 4 * mesh.tets.len() + 5 * mesh.pyramids.len() + 8 * mesh.hexahedra.len();
+    result.connectivity.reserve_exact(entries);
+    result.offsets.reserve_exact(mesh.element_count() + 1);
+    result.offsets.push(0);
+    let kinds = [
+        (ElementKind::Tet, mesh.tets.len()),
+        (ElementKind::Pyramid, mesh.pyramids.len()),
+        (ElementKind::Hexahedron, mesh.hexahedra.len()),
+    ];
+    for (kind, count) in kinds {
+        result.types.resize(result.types.len() + count, kind.vtk_type());
+        for _ in 0..count {
+            let last = result.offsets[result.offsets.len() - 1];
+            result.offsets.push(last + kind.node_count() as i64);
+        }
+    }
+    let order = |order: &[usize], row: &[VertexId], out: &mut Vec<VertexId>| out.extend(order.iter().map(|i| row[*i]));
+    let (tet, pyramid, hex): (&[usize], &[usize], &[usize]) = match mirrored {
+        false => (&[0, 1, 2, 3], &[0, 1, 2, 3, 4], &[0, 1, 2, 3, 4, 5, 6, 7]),
+        true => (&[0, 1, 3, 2], &[0, 3, 2, 1, 4], &[0, 3, 2, 1, 4, 7, 6, 5]),
+    };
+    mesh.tets.iter().for_each(|t| order(tet, t, &mut result.connectivity));
+    mesh.pyramids.iter().for_each(|p| order(pyramid, p, &mut result.connectivity));
+    mesh.hexahedra.iter().for_each(|h| order(hex, h, &mut result.connectivity));
+    let labels = mesh.tet_labels.iter().chain(&mesh.pyramid_labels).chain(&mesh.hexahedron_labels);
+    result.labels = labels.map(|l| values[l.index()]).collect();
+    result.boundary = boundary_of(&result)?;
+    Ok(result)
+}
+
+/// The labelled faces of a mesh of linear tets, pyramids and hexahedra.
+///
+/// # Errors
+/// [`Error::Internal`] for a mesh that does not conform.
+pub fn boundary_of(mesh: &MixedMesh) -> Result<BoundaryFaces> {
+    if mesh.is_all_tets() { boundary_of_tets(mesh) } else { boundary_of_mixed(mesh) }
+}
+
+fn boundary_of_tets(mesh: &MixedMesh) -> Result<BoundaryFaces> {
+    let tets: &[[u32; 4]] = bytemuck::cast_slice(mesh.tets()?);
+    let neighbors = neighbors_of(tets, mesh.points.len())?;
+    let mut boundary = BoundaryFaces::default();
+    for (t, near) in neighbors.iter().enumerate() {
+        for (f, other) in near.iter().enumerate() {
+            let outer = (*other != OUTSIDE).then_some(*other as usize);
+            if is_listed_from(mesh, t, outer) {
+                boundary.triangles.push(TET_FACES[f].map(|v| VertexId(tets[t][v])));
+                push_sides(mesh, &mut boundary, t, outer);
+            }
+        }
+    }
+    Ok(boundary)
+}
+
+/// Whether a face is on the boundary and listed from this side.
+fn is_listed_from(mesh: &MixedMesh, inner: usize, outer: Option<usize>) -> bool {
+    outer.is_none_or(|outer| mesh.labels[inner] < mesh.labels[outer])
+}
+
+fn push_sides(mesh: &MixedMesh, boundary: &mut BoundaryFaces, inner: usize, outer: Option<usize>) {
+    boundary.labels.push([mesh.labels[inner], outer.map_or(0, |o| mesh.labels[o])]);
+    boundary.elements.push([inner as i64, outer.map_or(-1, |o| o as i64)]);
+}
+
+/// Vertices of the faces of an element, outward; triangles have three.
+fn faces_of(kind: ElementKind, nodes: &[VertexId]) -> Vec<Vec<VertexId>> {
+    let pick = |face: &[usize]| face.iter().map(|v| nodes[*v]).collect();
+    match kind {
+        ElementKind::Tet => TET_FACES.iter().map(|f| pick(f)).collect(),
+        ElementKind::Pyramid => {
+            PYRAMID_TRIANGLES.iter().map(|f| pick(f)).chain(std::iter::once(pick(&PYRAMID_BASE))).collect()
+        }
+        _ => HEX_FACES.iter().map(|f| pick(f)).collect(),
+    }
+}
+
+fn boundary_of_mixed(mesh: &MixedMesh) -> Result<BoundaryFaces> {
+    // Key: sorted vertices, a triangle has u32::MAX last. Value: the two sides.
+    let mut sides: Vec<([u32; 4], u32, u8)> = Vec::new();
+    for e in 0..mesh.element_count() {
+        let (kind, nodes) = mesh.element(e);
+        for (f, face) in faces_of(kind, nodes).iter().enumerate() {
+            let mut key = [u32::MAX; 4];
+            key.iter_mut().zip(face).for_each(|(k, v)| *k = v.0);
+            key.sort_unstable();
+            sides.push((key, e as u32, f as u8));
+        }
+    }
+    sides.par_sort_unstable();
+    let mut listed: Vec<(u32, u8, Option<usize>)> = Vec::new();
+    for face in sides.chunk_by(|a, b| a.0 == b.0) {
+        match face {
+            [one] => listed.push((one.1, one.2, None)),
+            [a, b] => {
+                for (own, other) in [(a, b), (b, a)] {
+                    if is_listed_from(mesh, own.1 as usize, Some(other.1 as usize)) {
+                        listed.push((own.1, own.2, Some(other.1 as usize)));
+                    }
+                }
+            }
+            _ => {
+                return Err(Error::Internal { reason: format!("element {} shares a face with two others", face[0].1) });
+            }
+        }
+    }
+    listed.sort_unstable();
+    let mut boundary = BoundaryFaces::default();
+    for triangles in [true, false] {
+        for (e, f, outer) in &listed {
+            let (kind, nodes) = mesh.element(*e as usize);
+            let face = &faces_of(kind, nodes)[usize::from(*f)];
+            match (triangles, face.as_slice()) {
+                (true, [a, b, c]) => boundary.triangles.push([*a, *b, *c]),
+                (false, [a, b, c, d]) => boundary.quads.push([*a, *b, *c, *d]),
+                _ => continue,
+            }
+            push_sides(mesh, &mut boundary, *e as usize, *outer);
+        }
+    }
+    Ok(boundary)
+}
+
+/// Turns 4-node tets into 10-node tets with straight edges; the boundary keeps its corner triangles.
+///
+/// # Errors
+/// [`Error::State`] for a mesh of other elements, [`Error::CapacityExceeded`].
+pub fn make_quadratic(mesh: &mut MixedMesh) -> Result<()> {
+    let tets = mesh.tets()?.to_vec();
+    let mut middles: FxHashMap<(u32, u32), VertexId> = FxHashMap::default();
+    let mut connectivity = Vec::with_capacity(10 * tets.len());
+    for tet in &tets {
+        connectivity.extend_from_slice(tet);
+        for [a, b] in QUADRATIC_TET_EDGES {
+            let (a, b) = (tet[a].0.min(tet[b].0), tet[a].0.max(tet[b].0));
+            let next = VertexId::try_new(mesh.points.len())?;
+            let node = *middles.entry((a, b)).or_insert(next);
+            if node == next {
+                mesh.points.push(0.5 * (mesh.points[a as usize] + mesh.points[b as usize]));
+            }
+            connectivity.push(node);
+        }
+    }
+    mesh.types.fill(ElementKind::QuadraticTet.vtk_type());
+    mesh.offsets = (0..=tets.len() as i64).map(|i| 10 * i).collect();
+    mesh.connectivity = connectivity;
+    Ok(())
+}

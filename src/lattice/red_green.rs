@@ -1,0 +1,281 @@
+//! Red-green refinement: red 1:8 subdivision that keeps the shape, green closure that is made anew every time.
+//!
+//! # Method
+//! 1. Marked tets become red: their six edges are split.
+//! 2. Every other tet looks at its edges. A pattern without a template, or an edge split twice, makes it red too;
+//!    repeated until nothing changes. The result does not depend on the order.
+//! 3. Red tets are replaced by their eight children; children that cannot hold a labelled voxel are dropped.
+//! 4. [`RedGreenLattice::elements`] closes what is left with green templates. Greens are never stored, so they are
+//!    gone before the next round.
+//!
+//! # Source
+//! [Molino2003], [Drakopoulos2017] 2.3.3.
+//!
+//! # Differences
+//! A midpoint exists exactly where an integer key is in the vertex table; there are no edge records.
+//!
+//! # Invariants
+//! Every stored tet is a scaled copy of the coarsest, long edges first; all dihedral angles of [`Elements`] lie within
+//! 30 and 116.57 degrees. Tets stay in the order of their coarsest tet, then depth first.
+//!
+//! # Cost
+//! 24 bytes a stored tet and about 40 a vertex; looking up midpoints dominates and is parallel, making them is not.
+
+use glam::{DVec3, IVec3};
+use rayon::prelude::*;
+
+use crate::context::RunContext;
+use crate::error::{Error, Result};
+use crate::index::Label;
+use crate::lattice::bcc_lattice::{Field, LatticeFrame, LatticeVertices, TET_RADIUS, coarsest_tets};
+use crate::lattice::red_green_tables::{RED_CHILDREN, green_children};
+use crate::mesh::numbering::TET_EDGES;
+
+/// Tets per parallel work item: some 0.1 ms, far above the cost of handing it over.
+const CHUNK: usize = 2048;
+
+/// All six edges are split.
+const RED: u8 = 0b111111;
+
+/// The adaptive lattice.
+pub struct RedGreenLattice<'a> {
+    /// Where the lattice lies.
+    pub frame: LatticeFrame,
+    /// The image.
+    pub field: Field<'a>,
+    /// All vertices ever made.
+    pub vertices: LatticeVertices,
+    /// Leaf tets. 16 B / tet.
+    pub tets: Vec<[u32; 4]>,
+    /// Level of each leaf. 1 B / tet.
+    pub levels: Vec<u8>,
+    deepest: u8,
+    max_elements: usize,
+}
+
+/// The conforming elements of the lattice: red leaves and greens.
+#[derive(Default)]
+pub struct Elements {
+    /// Vertices. 16 B / element.
+    pub tets: Vec<[u32; 4]>,
+    /// Label of the voxel around the centroid. 2 B / element.
+    pub labels: Vec<Label>,
+    /// The leaf each element comes from, increasing. 4 B / element.
+    pub leaves: Vec<u32>,
+}
+
+impl<'a> RedGreenLattice<'a> {
+    /// The coarsest lattice.
+    ///
+    /// # Errors
+    /// As [`coarsest_tets`]; [`Error::LimitReached`] for more than `max_elements` tets.
+    pub fn new(frame: LatticeFrame, field: Field<'a>, max_elements: usize, context: &RunContext) -> Result<Self> {
+        let mut vertices = LatticeVertices::default();
+        let tets = coarsest_tets(&frame, &field, &mut vertices, context)?;
+        let levels = vec![0; tets.len()];
+        let lattice = Self { frame, field, vertices, tets, levels, deepest: 0, max_elements };
+        lattice.check_size(lattice.tets.len())?;
+        Ok(lattice)
+    }
+
+    /// Deepest level of any leaf.
+    pub fn deepest_level(&self) -> u32 {
+        u32::from(self.deepest)
+    }
+
+    /// Centroid of a tet in the local frame, mm.
+    #[inline]
+    pub fn centroid(&self, tet: &[u32; 4]) -> DVec3 {
+        let sum: IVec3 = tet.iter().map(|v| self.vertices.positions[*v as usize]).sum();
+        self.frame.origin + 0.25 * self.frame.unit * sum.as_dvec3()
+    }
+
+    /// Subdivides the marked leaves and whatever conformity asks for.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], [`Error::LimitReached`].
+    pub fn refine(&mut self, mut marked: Vec<bool>, context: &RunContext) -> Result<()> {
+        let max_level = self.frame.max_level() as u8;
+        let mut pending: Vec<u32> = (0..self.tets.len())
+            .filter(|t| {
+                marked[*t] &= self.levels[*t] < max_level;
+                marked[*t]
+            })
+            .map(|t| t as u32)
+            .collect();
+        while !pending.is_empty() {
+            context.check()?;
+            for t in pending {
+                self.split_all_edges(t as usize);
+                marked[t as usize] = true;
+            }
+            pending = self.promoted(&marked);
+        }
+        self.replace_by_children(&marked, context)
+    }
+
+    fn split_all_edges(&mut self, tet: usize) {
+        self.deepest = self.deepest.max(self.levels[tet] + 1);
+        let corners = self.tets[tet].map(|v| self.vertices.positions[v as usize]);
+        for [a, b] in TET_EDGES {
+            self.vertices.insert((corners[a] + corners[b]) / 2, &self.frame, &self.field);
+        }
+    }
+
+    /// Unmarked leaves that have to become red.
+    fn promoted(&self, marked: &[bool]) -> Vec<u32> {
+        let has_to = |t: usize| !marked[t] && self.levels[t] < self.deepest && self.must_be_red(&self.tets[t]);
+        let chunks: Vec<Vec<u32>> = (0..self.tets.len().div_ceil(CHUNK))
+            .into_par_iter()
+            .map(|c| {
+                let range = c * CHUNK..((c + 1) * CHUNK).min(self.tets.len());
+                range.filter(|t| has_to(*t)).map(|t| t as u32).collect()
+            })
+            .collect();
+        chunks.concat()
+    }
+
+    /// Which edges are split, and at which vertices.
+    fn split_edges(&self, tet: &[u32; 4]) -> (u8, [u32; 6]) {
+        let (mut mask, mut middles) = (0, [u32::MAX; 6]);
+        for (e, [a, b]) in TET_EDGES.into_iter().enumerate() {
+            if let Some(middle) = self.vertices.middle(tet[a], tet[b]) {
+                mask |= 1 << e;
+                middles[e] = middle;
+            }
+        }
+        (mask, middles)
+    }
+
+    fn must_be_red(&self, tet: &[u32; 4]) -> bool {
+        let (mask, middles) = self.split_edges(tet);
+        if mask == 0 {
+            return false;
+        }
+        if green_children(mask).is_none() {
+            return true;
+        }
+        let split_again = |e: usize| {
+            let [a, b] = TET_EDGES[e];
+            let m = middles[e];
+            self.vertices.middle(tet[a], m).is_some() || self.vertices.middle(m, tet[b]).is_some()
+        };
+        let split: Vec<usize> = (0..6).filter(|e| mask >> e & 1 == 1).collect();
+        if split.iter().any(|e| split_again(*e)) {
+            return true;
+        }
+        // Three edges of a face: its middle triangle belongs to a child of the neighbour, which may be split as well.
+        split.len() == 3
+            && [(0, 1), (1, 2), (0, 2)]
+                .iter()
+                .any(|(a, b)| self.vertices.middle(middles[split[*a]], middles[split[*b]]).is_some())
+    }
+
+    fn replace_by_children(&mut self, marked: &[bool], context: &RunContext) -> Result<()> {
+        let chunks: Vec<(Vec<[u32; 4]>, Vec<u8>)> = (0..self.tets.len().div_ceil(CHUNK))
+            .into_par_iter()
+            .map(|c| {
+                context.check()?;
+                let range = c * CHUNK..((c + 1) * CHUNK).min(self.tets.len());
+                let (mut tets, mut levels) = (Vec::new(), Vec::new());
+                for t in range {
+                    if marked[t] {
+                        self.push_children(t, &mut tets, &mut levels);
+                    } else {
+                        tets.push(self.tets[t]);
+                        levels.push(self.levels[t]);
+                    }
+                }
+                Ok((tets, levels))
+            })
+            .collect::<Result<_>>()?;
+        let total = chunks.iter().map(|(t, _)| t.len()).sum();
+        self.check_size(total)?;
+        (self.tets, self.levels) = (Vec::with_capacity(total), Vec::with_capacity(total));
+        for (tets, levels) in chunks {
+            self.tets.extend(tets);
+            self.levels.extend(levels);
+        }
+        Ok(())
+    }
+
+    fn push_children(&self, tet: usize, tets: &mut Vec<[u32; 4]>, levels: &mut Vec<u8>) {
+        let corners = self.tets[tet];
+        let (mask, middles) = self.split_edges(&corners);
+        debug_assert_eq!(mask, RED);
+        let level = self.levels[tet] + 1;
+        let radius = TET_RADIUS * self.frame.edge_length(u32::from(level));
+        for child in RED_CHILDREN {
+            let child = child.map(|v| local_vertex(v, &corners, &middles));
+            if self.field.may_hold_labels(self.centroid(&child), radius) {
+                tets.push(child);
+                levels.push(level);
+            }
+        }
+    }
+
+    fn check_size(&self, tets: usize) -> Result<()> {
+        if tets > self.max_elements {
+            let reason = format!("the lattice needs {tets} elements, {} are allowed", self.max_elements);
+            return Err(Error::LimitReached { reason });
+        }
+        Ok(())
+    }
+
+    /// The conforming elements with their labels by centroid.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], [`Error::LimitReached`].
+    pub fn elements(&self, context: &RunContext) -> Result<Elements> {
+        let chunks: Vec<Elements> = (0..self.tets.len().div_ceil(CHUNK))
+            .into_par_iter()
+            .map(|c| {
+                context.check()?;
+                let mut elements = Elements::default();
+                for t in c * CHUNK..((c + 1) * CHUNK).min(self.tets.len()) {
+                    self.push_elements(t, &mut elements)?;
+                }
+                Ok(elements)
+            })
+            .collect::<Result<_>>()?;
+        let total = chunks.iter().map(|c| c.tets.len()).sum();
+        self.check_size(total)?;
+        let mut all = Elements {
+            tets: Vec::with_capacity(total),
+            labels: Vec::with_capacity(total),
+            leaves: Vec::with_capacity(total),
+        };
+        for chunk in chunks {
+            all.tets.extend(chunk.tets);
+            all.labels.extend(chunk.labels);
+            all.leaves.extend(chunk.leaves);
+        }
+        Ok(all)
+    }
+
+    fn push_elements(&self, t: usize, elements: &mut Elements) -> Result<()> {
+        let corners = self.tets[t];
+        let mut push = |tet: [u32; 4]| {
+            elements.tets.push(tet);
+            elements.labels.push(self.field.label_at(self.centroid(&tet)));
+            elements.leaves.push(t as u32);
+        };
+        if self.levels[t] >= self.deepest {
+            push(corners);
+            return Ok(());
+        }
+        let (mask, middles) = self.split_edges(&corners);
+        let Some(children) = green_children(mask) else {
+            return Err(Error::Internal { reason: format!("leaf {t} has no template for its edges {mask:06b}") });
+        };
+        for child in children {
+            push(child.map(|v| local_vertex(v, &corners, &middles)));
+        }
+        Ok(())
+    }
+}
+
+#[inline]
+fn local_vertex(local: u8, corners: &[u32; 4], middles: &[u32; 6]) -> u32 {
+    if local < 4 { corners[usize::from(local)] } else { middles[usize::from(local) - 4] }
+}

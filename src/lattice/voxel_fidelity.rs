@@ -1,0 +1,190 @@
+//! Voxel-exact comparison of mesh and image: which voxel centres lie in an element of another label.
+//!
+//! # Method
+//! 1. An element whose surroundings have one label in the distance transform, its own, has nothing to count.
+//! 2. In every other element the voxel rows of its bounding box are cut by its four planes, and the voxels of the cut
+//!    are compared with its label.
+//! 3. With `n` voxels of a label in the image, `missed` of them in other elements and `wrong` voxels of other labels
+//!    in its own elements: `F1 = (n - missed) / (n - missed + wrong)`, `F2 = (n - missed) / n`.
+//!
+//! # Source
+//! [Drakopoulos2017] 2.3.3 for F1 and F2.
+//!
+//! # Invariants
+//! Centres are displaced by a millionth of a voxel, so each lies in exactly one element.
+//!
+//! # Cost
+//! Proportional to the elements near boundaries; parallel, whole numbers, the same for any number of threads.
+
+use glam::{DVec3, IVec3};
+use rayon::prelude::*;
+
+use crate::context::RunContext;
+use crate::error::Result;
+use crate::image::connected_components::Components;
+use crate::index::Label;
+use crate::lattice::red_green::{Elements, RedGreenLattice};
+use crate::mesh::numbering::TET_FACES;
+
+/// Elements per parallel work item.
+const CHUNK: usize = 2048;
+
+/// Voxels of one label and component that lie in an element of another label.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Mismatch {
+    /// The element.
+    pub element: u32,
+    /// The element's label.
+    pub element_label: Label,
+    /// The label of the voxels.
+    pub voxel_label: Label,
+    /// The component of the voxels; `u32::MAX` for background and where components are not counted.
+    pub component: u32,
+    /// How many voxels.
+    pub voxels: u32,
+}
+
+/// All mismatches of a set of elements, in the order of the elements.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn mismatches(
+    lattice: &RedGreenLattice,
+    elements: &Elements,
+    components: &Components,
+    context: &RunContext,
+) -> Result<Vec<Mismatch>> {
+    let chunks: Vec<Vec<Mismatch>> = (0..elements.tets.len().div_ceil(CHUNK))
+        .into_par_iter()
+        .map(|c| {
+            context.check()?;
+            let mut found = Vec::new();
+            for e in c * CHUNK..((c + 1) * CHUNK).min(elements.tets.len()) {
+                let first = found.len();
+                let label = elements.labels[e];
+                for_each_foreign_voxel(lattice, &elements.tets[e], label, |index, voxel_label| {
+                    let component = match voxel_label.is_background() {
+                        true => None,
+                        false => components.component_at(index.x as usize, index.y as usize, index.z as usize),
+                    };
+                    let component = component.unwrap_or(u32::MAX);
+                    let same = |m: &&mut Mismatch| m.voxel_label == voxel_label && m.component == component;
+                    match found[first..].iter_mut().find(same) {
+                        Some(mismatch) => mismatch.voxels += 1,
+                        None => found.push(Mismatch {
+                            element: e as u32,
+                            element_label: label,
+                            voxel_label,
+                            component,
+                            voxels: 1,
+                        }),
+                    }
+                });
+            }
+            Ok(found)
+        })
+        .collect::<Result<_>>()?;
+    Ok(chunks.concat())
+}
+
+/// Calls `visit` for every voxel whose centre lies in the tet and whose label is not `label`.
+pub fn for_each_foreign_voxel(
+    lattice: &RedGreenLattice,
+    tet: &[u32; 4],
+    label: Label,
+    mut visit: impl FnMut(IVec3, Label),
+) {
+    let field = &lattice.field;
+    let points = tet.map(|v| lattice.frame.local(lattice.vertices.positions[v as usize]));
+    let centroid = 0.25 * (points[0] + points[1] + points[2] + points[3]);
+    let squared_radius = points.iter().map(|p| p.distance_squared(centroid)).fold(0.0, f64::max);
+    if field.uniform_label(centroid, squared_radius.sqrt()) == Some(label) {
+        return;
+    }
+    let corners = points.map(|p| field.counting_index(p));
+    let image = field.image;
+    for_each_row(&corners, field.size(), |first, last, j, k| {
+        let begin = image.grid().offset(first as usize, j as usize, k as usize);
+        let row = &image.voxels()[begin..=begin + (last - first) as usize];
+        for (step, voxel_label) in row.iter().enumerate() {
+            if *voxel_label != label {
+                visit(IVec3::new(first + step as i32, j, k), *voxel_label);
+            }
+        }
+    });
+}
+
+/// Calls `visit(first, last, j, k)` for every row of whole indices inside a positive tet, within `0..size`.
+pub fn for_each_row(corners: &[DVec3; 4], size: IVec3, mut visit: impl FnMut(i32, i32, i32, i32)) {
+    let low = corners.iter().fold(DVec3::INFINITY, |a, b| a.min(*b));
+    let high = corners.iter().fold(DVec3::NEG_INFINITY, |a, b| a.max(*b));
+    let low = low.ceil().max(DVec3::ZERO).as_ivec3();
+    let high = high.floor().min((size - 1).as_dvec3()).as_ivec3();
+    if low.cmpgt(high).any() {
+        return;
+    }
+    let planes = TET_FACES.map(|[a, b, c]| {
+        let normal = (corners[b] - corners[a]).cross(corners[c] - corners[a]);
+        (normal, -normal.dot(corners[a]))
+    });
+    for k in low.z..=high.z {
+        for j in low.y..=high.y {
+            let (mut first, mut last) = (f64::from(low.x), f64::from(high.x));
+            for (normal, offset) in &planes {
+                // Inside: normal . (i, j, k) + offset <= 0, a bound on i.
+                let rest = normal.y * f64::from(j) + normal.z * f64::from(k) + offset;
+                if normal.x > 0.0 {
+                    last = last.min(-rest / normal.x);
+                } else if normal.x < 0.0 {
+                    first = first.max(-rest / normal.x);
+                } else if rest > 0.0 {
+                    last = f64::NEG_INFINITY;
+                }
+            }
+            let (first, last) = (first.ceil(), last.floor());
+            if first <= last {
+                visit(first as i32, last as i32, j, k);
+            }
+        }
+    }
+}
+
+/// Counts per label: voxels in the image, missed by the mesh, wrongly covered by it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct LabelCount {
+    /// Voxels of the label in the image.
+    pub image: u64,
+    /// Of these, in elements of other labels.
+    pub missed: u64,
+    /// Voxels of other labels in its elements.
+    pub wrong: u64,
+}
+
+impl LabelCount {
+    /// The smaller of F1 and F2.
+    pub fn fidelity(&self) -> f64 {
+        if self.image == 0 {
+            return 1.0;
+        }
+        let common = (self.image - self.missed) as f64;
+        let covered = common + self.wrong as f64;
+        if covered == 0.0 { 0.0 } else { (common / covered).min(common / self.image as f64) }
+    }
+}
+
+/// Voxels per label of an image.
+pub fn count_voxels(voxels: &[Label], labels: usize) -> Vec<LabelCount> {
+    let partial: Vec<Vec<u64>> = voxels
+        .par_chunks(1 << 20)
+        .map(|chunk| {
+            let mut counts = vec![0u64; labels];
+            chunk.iter().for_each(|l| counts[l.index()] += 1);
+            counts
+        })
+        .collect();
+    let mut counts = vec![LabelCount::default(); labels];
+    for part in partial {
+        counts.iter_mut().zip(part).for_each(|(count, n)| count.image += n);
+    }
+    counts
+}
