@@ -17,6 +17,7 @@
 
 pub mod adaptive_refinement;
 pub mod bcc_lattice;
+pub mod boundary_targets;
 pub mod candidate_mesh;
 pub mod element_labels;
 pub mod face_adjacency;
@@ -25,7 +26,11 @@ pub mod options;
 pub mod red_green;
 pub mod red_green_tables;
 pub mod report;
+pub mod smoothing;
 pub mod subdivision_criteria;
+pub mod subvoxel_surface;
+pub mod surface_deformation;
+pub mod untangling;
 pub mod voxel_fidelity;
 
 use std::time::Duration;
@@ -83,8 +88,10 @@ fn mesh_image(image: &LabelImage, options: &Options, context: &RunContext) -> Re
         targets: &targets,
         spacing: options.lattice_spacing.unwrap_or_else(|| adapted_spacing(image)),
     };
-    let candidate = adaptive_refinement::refine(&input, options, &mut report, context)?;
-    // Smoothing of `candidate` stands here.
+    let mut candidate = adaptive_refinement::refine(&input, options, &mut report, context)?;
+    if options.smoothing_iterations > 0 {
+        smoothing::smooth(&mut candidate, image, &values, options, &mut report, context)?;
+    }
     context.progress("finishing", 0.95);
     let mut mesh = report.timed("finishing", || finishing::to_world(&candidate, image.grid(), &values))?;
     if options.shape_functions == ShapeFunctions::Quadratic {

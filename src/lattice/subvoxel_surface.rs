@@ -1,0 +1,334 @@
+//! Where the surface between labels runs inside of the voxels: a smooth signed distance per pair of labels.
+//!
+//! # Method
+//! 1. The indicator of each label is smoothed by a Gaussian of [`SIGMA`] voxels, evaluated where it is asked for: the sum
+//!    over the 6 x 6 x 6 voxels around the point. Nothing is stored per voxel.
+//! 2. Between labels a and b the ratio `(f_a - f_b) / (f_a + f_b)` of a flat interface is an error function of the
+//!    distance; its inverse gives a signed distance (positive in a) that is right for flat interfaces and smooth.
+//! 3. The image is continued past its border by its outermost voxels; there the border planes bound the labels.
+//! 4. An offset per label moves its surfaces outward: it makes up for the volume that smoothing takes from convex bodies.
+//!
+//! # Differences
+//! The thesis moves vertices to voxel centres, which keeps the staircase. A smoothed indicator runs within half a voxel
+//! diagonal of the voxel boundary wherever structures are thicker than a voxel.
+//!
+//! # Cost
+//! About 1500 multiplications per evaluation.
+
+use glam::{DMat3, DVec3};
+
+use crate::image::label_image::LabelImage;
+use crate::index::Label;
+
+/// Width of the smoothing in voxels: below 0.7 the staircase shows, above 1.2 walls of 1.5 voxels lose volume.
+const SIGMA: f64 = 0.95;
+
+/// Ratios are cut here: past it the inverse error function is steep and a surface is not near.
+const LARGEST_RATIO: f64 = 0.999;
+
+/// Damping of the junction solve, relative to unit normals.
+const JUNCTION_DAMPING: f64 = 0.02;
+
+/// Newton steps of a projection.
+const PROJECTION_STEPS: usize = 4;
+
+/// What lies on one side of a surface: a label, or a border plane of the image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Side {
+    /// A label, the background included.
+    Label(Label),
+    /// Beyond a border plane: 0 to 5 for low i, high i, low j, high j, low k, high k.
+    Border(u8),
+}
+
+/// Signed distances between the labels of an image; local frame, mm.
+#[derive(Debug, Clone)]
+pub struct SubvoxelSurface<'a> {
+    voxels: &'a [Label],
+    size: [usize; 3],
+    spacing: DVec3,
+    /// Outward offset per label, mm.
+    offsets: Vec<f64>,
+}
+
+/// Weights of the Gaussian and its derivative along one axis, and the voxels they belong to.
+struct AxisWeights {
+    voxel: [usize; 6],
+    value: [f64; 6],
+    slope: [f64; 6],
+}
+
+impl<'a> SubvoxelSurface<'a> {
+    /// The surfaces of an image.
+    pub fn new(image: &'a LabelImage) -> Self {
+        Self {
+            voxels: image.voxels(),
+            size: image.grid().size(),
+            spacing: image.grid().spacing(),
+            offsets: vec![0.0; image.label_count()],
+        }
+    }
+
+    /// Millimetres between voxels.
+    pub fn spacing(&self) -> DVec3 {
+        self.spacing
+    }
+
+    /// Half of a voxel's diagonal, mm: how far a smooth surface may run from the voxels' boundary.
+    pub fn half_diagonal(&self) -> f64 {
+        self.spacing.length() / 2.0
+    }
+
+    /// Outward offset of each label, mm.
+    pub fn offsets_mut(&mut self) -> &mut [f64] {
+        &mut self.offsets
+    }
+
+    /// The label of the voxel around a point; outside of the image, that of the nearest voxel.
+    pub fn nearest_label(&self, point: DVec3) -> Label {
+        let index = (point / self.spacing).round().to_array();
+        let [i, j, k]: [usize; 3] = std::array::from_fn(|d| (index[d].max(0.0) as usize).min(self.size[d] - 1));
+        self.voxels[i + self.size[0] * (j + self.size[1] * k)]
+    }
+
+    /// Position of a border plane along its axis, mm.
+    pub fn border(&self, plane: u8) -> (usize, f64) {
+        let axis = usize::from(plane / 2);
+        let voxel = if plane % 2 == 0 { -0.5 } else { self.size[axis] as f64 - 0.5 };
+        (axis, voxel * self.spacing[axis])
+    }
+
+    /// The border plane nearest to a point.
+    pub fn nearest_border(&self, point: DVec3) -> u8 {
+        let beyond = |plane: u8| {
+            let (axis, at) = self.border(plane);
+            if plane % 2 == 0 { at - point[axis] } else { point[axis] - at }
+        };
+        (0..6).max_by(|l, r| beyond(*l).total_cmp(&beyond(*r))).unwrap_or(0)
+    }
+
+    fn axis_weights(&self, axis: usize, coordinate: f64) -> AxisWeights {
+        let at = coordinate / self.spacing[axis];
+        let base = at.floor();
+        let fraction = at - base;
+        let inverse = 1.0 / (SIGMA * SIGMA);
+        let mut weights = AxisWeights { voxel: [0; 6], value: [0.0; 6], slope: [0.0; 6] };
+        // exp(-(t - i)^2 / 2 s^2) for i = -2..3 by two exponentials and products.
+        let center = (-fraction * fraction * inverse / 2.0).exp();
+        let step = (fraction * inverse).exp();
+        let powers = [1.0 / (step * step), 1.0 / step, 1.0, step, step * step, step * step * step];
+        for (slot, power) in powers.into_iter().enumerate() {
+            let i = slot as f64 - 2.0;
+            let value = center * power * (-i * i * inverse / 2.0).exp();
+            weights.value[slot] = value;
+            weights.slope[slot] = -(fraction - i) * inverse * value / self.spacing[axis];
+            weights.voxel[slot] = ((base + i).max(0.0) as usize).min(self.size[axis] - 1);
+        }
+        weights
+    }
+
+    /// Sums over the voxels around a point: `f_a - f_b`, its gradient, and `f_a + f_b`.
+    fn smoothed(&self, point: DVec3, a: Label, b: Label) -> (f64, DVec3, f64) {
+        let [x, y, z]: [AxisWeights; 3] = std::array::from_fn(|axis| self.axis_weights(axis, point[axis]));
+        let (mut value, mut gradient, mut presence) = (0.0, DVec3::ZERO, 0.0);
+        for k in 0..6 {
+            for j in 0..6 {
+                let row = self.size[0] * (y.voxel[j] + self.size[1] * z.voxel[k]);
+                let (mut sum, mut slope, mut weight) = (0.0, 0.0, 0.0);
+                for i in 0..6 {
+                    let label = self.voxels[row + x.voxel[i]];
+                    let (in_a, in_b) = (f64::from(u8::from(label == a)), f64::from(u8::from(label == b)));
+                    sum += (in_a - in_b) * x.value[i];
+                    slope += (in_a - in_b) * x.slope[i];
+                    weight += (in_a + in_b) * x.value[i];
+                }
+                let plane = y.value[j] * z.value[k];
+                value += plane * sum;
+                presence += plane * weight;
+                gradient += DVec3::new(plane * slope, y.slope[j] * z.value[k] * sum, y.value[j] * z.slope[k] * sum);
+            }
+        }
+        (value, gradient, presence)
+    }
+
+    /// Signed distance to the surface between labels a and b, mm, positive in a, and the unit normal towards a; `None` where
+    /// no such surface is near.
+    pub fn signed_distance(&self, point: DVec3, a: Label, b: Label) -> Option<(f64, DVec3)> {
+        let (value, gradient, presence) = self.smoothed(point, a, b);
+        let length = gradient.length();
+        if !(presence > 0.02 && length > 1e-6 * presence) {
+            return None;
+        }
+        let ratio = (value / presence).clamp(-LARGEST_RATIO, LARGEST_RATIO);
+        // A flat interface: ratio = erf(t / sqrt 2) at t sigmas, slope of the ratio 2 pdf(t) per sigma.
+        let sigmas = std::f64::consts::SQRT_2 * inverse_error_function(ratio);
+        let density = (-sigmas * sigmas / 2.0).exp() * 2.0 / (2.0 * std::f64::consts::PI).sqrt();
+        let per_sigma = length / presence / density;
+        let distance = (sigmas / per_sigma).clamp(-3.0, 3.0) + self.offset(a, b);
+        (distance.is_finite()).then(|| (distance, gradient / length))
+    }
+
+    fn offset(&self, a: Label, b: Label) -> f64 {
+        self.offsets[a.index()] - self.offsets[b.index()]
+    }
+
+    /// Step from a point to the place where all `sides` meet, mm, and the residual distance before it; `None` where they
+    /// are not near.
+    pub fn step_to_junction(&self, point: DVec3, sides: &[Side]) -> Option<(DVec3, f64)> {
+        let mut normal_matrix = DMat3::ZERO;
+        let mut pull = DVec3::ZERO;
+        let mut residual: f64 = 0.0;
+        let mut count = 0;
+        let mut add = |distance: f64, normal: DVec3| {
+            normal_matrix += DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
+            pull -= normal * distance;
+            residual = residual.max(distance.abs());
+            count += 1;
+        };
+        let mut single = None;
+        let mut planes = [None; 3];
+        for side in sides {
+            if let Side::Border(plane) = side {
+                let (axis, at) = self.border(*plane);
+                planes[axis] = Some(at);
+            }
+        }
+        let labels = || sides.iter().filter_map(|s| if let Side::Label(l) = s { Some(*l) } else { None });
+        let mut first = None;
+        for label in labels() {
+            if let Some(before) = first {
+                if let Some((distance, normal)) = self.signed_distance(point, before, label) {
+                    add(distance, normal);
+                    single = Some(-normal * distance);
+                }
+            }
+            first = Some(label);
+        }
+        let border_count = planes.iter().flatten().count();
+        if count == 0 && border_count == 0 {
+            return None;
+        }
+        let mut step = match (count, border_count, single) {
+            (1, 0, Some(step)) => step,
+            (0, ..) => DVec3::ZERO,
+            _ => {
+                // Components along border normals are decided by the planes.
+                for (axis, plane) in planes.iter().enumerate() {
+                    if plane.is_some() {
+                        let mut keep = DVec3::ONE;
+                        keep[axis] = 0.0;
+                        let mask = DMat3::from_diagonal(keep);
+                        normal_matrix = mask * normal_matrix * mask;
+                        pull *= keep;
+                    }
+                }
+                (normal_matrix + DMat3::from_diagonal(DVec3::splat(JUNCTION_DAMPING))).inverse() * pull
+            }
+        };
+        for (axis, plane) in planes.iter().enumerate() {
+            if let Some(at) = plane {
+                step[axis] = at - point[axis];
+                residual = residual.max(step[axis].abs());
+            }
+        }
+        step.is_finite().then_some((step, residual))
+    }
+
+    /// The point of the junction of `sides` near `point`, at most `reach` (mm) away; `None` where there is none.
+    pub fn project(&self, point: DVec3, sides: &[Side], reach: f64) -> Option<DVec3> {
+        let mut at = point;
+        let tolerance = 0.01 * self.spacing.min_element();
+        let longest = 0.75 * self.spacing.max_element();
+        for _ in 0..PROJECTION_STEPS {
+            let (step, _) = self.step_to_junction(at, sides)?;
+            at += step.clamp_length_max(longest);
+            if at.distance_squared(point) > reach * reach {
+                return None;
+            }
+            if step.length_squared() < tolerance * tolerance {
+                break;
+            }
+        }
+        // The planes are met exactly, whatever the last step was.
+        for side in sides {
+            if let Side::Border(plane) = side {
+                let (axis, position) = self.border(*plane);
+                at[axis] = position;
+            }
+        }
+        Some(at)
+    }
+}
+
+/// Inverse of the error function within 2e-3: a start for Newton steps, exact at zero.
+fn inverse_error_function(value: f64) -> f64 {
+    let log = (1.0 - value * value).ln();
+    let a = 0.147;
+    let first = 2.0 / (std::f64::consts::PI * a) + log / 2.0;
+    value.signum() * ((first * first - log / a).sqrt() - first).max(0.0).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::grid::Grid;
+
+    /// Label 1 in a ball, label 2 in the half of it beyond x = 10.3.
+    fn split_ball(radius: f64) -> LabelImage {
+        let grid = Grid::new([24; 3], DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).unwrap();
+        let mut voxels = Vec::new();
+        for k in 0..24 {
+            for j in 0..24 {
+                for i in 0..24 {
+                    let p = DVec3::new(f64::from(i), f64::from(j), f64::from(k));
+                    let inside = p.distance(DVec3::new(11.2, 11.6, 11.9)) < radius;
+                    voxels.push(Label(if !inside { 0 } else { 1 + u16::from(p.x > 10.3) }));
+                }
+            }
+        }
+        LabelImage::new(grid, voxels, vec![0, 1, 2]).unwrap()
+    }
+
+    #[test]
+    fn the_inverse_error_function_inverts_a_known_value() {
+        // erf(0.5) = 0.5204998778.
+        assert!((inverse_error_function(0.520_499_877_8) - 0.5).abs() < 2e-3);
+        assert_eq!(inverse_error_function(0.0), 0.0);
+    }
+
+    #[test]
+    fn points_near_a_ball_are_projected_to_it_within_a_fifth_of_a_voxel() {
+        let image = split_ball(8.0);
+        let surface = SubvoxelSurface::new(&image);
+        let center = DVec3::new(11.2, 11.6, 11.9);
+        for n in 0..40 {
+            let t = f64::from(n);
+            // Only the side of label 2, away from the junction.
+            let direction = DVec3::new(1.2 + (t * 0.7).sin(), (t * 1.3).cos(), (t * 2.1).sin()).normalize();
+            let start = center + direction * (8.0 + 0.8 * (t * 0.9).sin());
+            let sides = [Side::Label(Label(0)), Side::Label(Label(2))];
+            let found = surface.project(start, &sides, 2.0).expect("a surface is near");
+            assert!((found.distance(center) - 8.0).abs() < 0.3, "{}", found.distance(center));
+        }
+    }
+
+    #[test]
+    fn a_junction_of_three_labels_is_found() {
+        let image = split_ball(8.0);
+        let surface = SubvoxelSurface::new(&image);
+        let sides = [Side::Label(Label(0)), Side::Label(Label(1)), Side::Label(Label(2))];
+        // The junction is the circle x = 10.5 (between voxels 10 and 11) on the ball.
+        let found = surface.project(DVec3::new(11.0, 11.6 + 7.5, 11.9), &sides, 3.0).expect("a junction is near");
+        assert!((found.x - 10.5).abs() < 0.25, "{found}");
+        assert!((found.distance(DVec3::new(11.2, 11.6, 11.9)) - 8.0).abs() < 0.5, "{found}");
+    }
+
+    #[test]
+    fn border_planes_are_met_exactly() {
+        let image = split_ball(14.0);
+        let surface = SubvoxelSurface::new(&image);
+        let sides = [Side::Label(Label(2)), Side::Border(1)];
+        let found = surface.project(DVec3::new(23.9, 11.0, 12.0), &sides, 2.0).expect("the border is near");
+        assert_eq!(found, DVec3::new(23.5, 11.0, 12.0));
+    }
+}

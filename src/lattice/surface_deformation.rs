@@ -1,0 +1,203 @@
+//! Physics-based smoothing: the surfaces are pulled to the image boundary, an elastic body follows.
+//!
+//! # Method
+//! Each iteration:
+//! 1. Displacement of each source point: to the sub-voxel surface where its sides meet, within the search radius (a factor
+//!    times the mean length of its edges); where there is none, to the mean of the target points that fit. It is cut to a
+//!    factor times the mean edge length.
+//! 2. Solve `(K + f H^T H) U = f H^T D` for the displacements of all vertices: K linear elasticity with a material per
+//!    label, H picks the source points, f the flexibility and the confidence of the point.
+//! 3. Source points of elements that U would spoil get their confidence scaled down; solve again, a few tries.
+//! 4. The move is made under the guard of [`move_guarded`], which damps it where an element is still spoiled.
+//!
+//! # Source
+//! [Drakopoulos2017] 2.3.5 eq. 1 and 2.
+//!
+//! # Differences
+//! Sub-voxel surfaces instead of voxel centres; local damping instead of an end for the whole mesh.
+//!
+//! # Invariants
+//! No element gets worse than before and below the bound at once. Same bits for any number of threads.
+
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+
+use crate::context::RunContext;
+use crate::error::Result;
+use crate::fem::assembly::{ModelPattern, assemble_stiffness};
+use crate::fem::element_mesh::TetTopology;
+use crate::fem::element_stiffness::Formulation;
+use crate::fem::material::{Material, MaterialMap};
+use crate::image::label_image::LabelImage;
+use crate::lattice::boundary_targets::{SourcePoints, TargetPoints};
+use crate::lattice::candidate_mesh::CandidateMesh;
+use crate::lattice::options::Options;
+use crate::lattice::subvoxel_surface::SubvoxelSurface;
+use crate::lattice::untangling::{GuardedMove, move_guarded, tet_score};
+use crate::sparse::conjugate_gradient::StoppingRule;
+use crate::sparse::solver::{PreparedSolver, SolverKind};
+
+/// Accuracy of the displacements: a hundredth of a move is far below what the next iteration corrects.
+const RELATIVE_TOLERANCE: f64 = 1e-2;
+
+/// Iterations per solve at most; the guard takes whatever has been reached.
+const MAX_SOLVER_ITERATIONS: usize = 60;
+
+/// Stiffness of a vertex that must not move, in units of the flexibility.
+const HELD: f64 = 1e6;
+
+/// What the deformation did.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct DeformationSummary {
+    /// Iterations done.
+    pub iterations: usize,
+    /// Conjugate-gradient iterations of all solves.
+    pub solver_iterations: usize,
+    /// Solves with scaled confidence.
+    pub scaled_tries: usize,
+    /// Moves that were damped or undone.
+    pub guarded: GuardedMove,
+}
+
+/// Everything a deformation reads.
+pub struct Deformation<'a> {
+    /// The image, local frame.
+    pub image: &'a LabelImage,
+    /// Its sub-voxel surfaces.
+    pub surface: &'a SubvoxelSurface<'a>,
+    /// Surface vertices.
+    pub sources: &'a SourcePoints,
+    /// Boundary voxels.
+    pub targets: &'a TargetPoints,
+    /// Caller's value per label.
+    pub values: &'a [i32],
+    /// Options of the engine.
+    pub options: &'a Options,
+}
+
+/// Runs the iterations of the deformation on the tets of a mesh.
+///
+/// # Errors
+/// [`crate::Error::InvalidArgument`] for a material out of range; [`crate::Error::Cancelled`],
+/// [`crate::Error::LimitReached`].
+pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContext) -> Result<DeformationSummary> {
+    let mut summary = DeformationSummary::default();
+    if input.sources.vertices.is_empty() {
+        return Ok(summary);
+    }
+    let materials = materials(input)?;
+    let labels: Vec<i32> = mesh.tet_labels.iter().map(|l| input.values[l.index()]).collect();
+    let topology = TetTopology::new(mesh.tets.len());
+    let model = ModelPattern::new(&topology.view(&mesh.points, &mesh.tets, &labels), context)?;
+    let mut held = vec![false; mesh.points.len()];
+    mesh.fixed.iter().for_each(|v| held[v.index()] = true);
+    for _ in 0..input.options.smoothing_iterations {
+        context.check()?;
+        let edges = mean_edge_lengths(mesh);
+        let wanted = source_displacements(mesh, input, &edges);
+        let view = topology.view(&mesh.points, &mesh.tets, &labels);
+        let stiffness = assemble_stiffness(&view, &model, &materials, Formulation::Standard, context)?;
+        let mut confidence: Vec<f64> = wanted.iter().map(|w| f64::from(u8::from(w.is_some()))).collect();
+        let mut displacements = vec![DVec3::ZERO; mesh.points.len()];
+        for attempt in 0..=input.options.max_confidence_iterations {
+            let mut matrix = stiffness.clone();
+            let mut right = vec![DVec3::ZERO; mesh.points.len()];
+            for (at, vertex) in input.sources.vertices.iter().enumerate() {
+                let pull = input.options.flexibility * confidence[at];
+                matrix.add(vertex.index(), vertex.index(), DMat3::from_diagonal(DVec3::splat(pull)));
+                right[vertex.index()] = wanted[at].unwrap_or(DVec3::ZERO) * pull;
+            }
+            for vertex in &mesh.fixed {
+                matrix.add(vertex.index(), vertex.index(), DMat3::from_diagonal(DVec3::splat(HELD)));
+                right[vertex.index()] = DVec3::ZERO;
+            }
+            let rule = StoppingRule { relative_tolerance: RELATIVE_TOLERANCE, max_iterations: MAX_SOLVER_ITERATIONS };
+            let solver = PreparedSolver::new(&matrix, SolverKind::BlockJacobiCg, context);
+            summary.solver_iterations += solver.solve(&right, &mut displacements, &rule, context)?.iterations;
+            if attempt == input.options.max_confidence_iterations {
+                break;
+            }
+            if !scale_confidence(mesh, input, &model, &displacements, &mut confidence) {
+                break;
+            }
+            summary.scaled_tries += 1;
+        }
+        displacements.iter_mut().zip(&held).filter(|(_, held)| **held).for_each(|(d, _)| *d = DVec3::ZERO);
+        displacements.iter_mut().filter(|d| !d.is_finite()).for_each(|d| *d = DVec3::ZERO);
+        let bound = input.options.min_dihedral_angle;
+        let guarded = move_guarded(&mut mesh.points, &mesh.tets, &model.incidence, &displacements, bound);
+        summary.guarded.damped += guarded.damped;
+        summary.guarded.undone += guarded.undone;
+        summary.iterations += 1;
+    }
+    Ok(summary)
+}
+
+fn materials(input: &Deformation) -> Result<MaterialMap> {
+    let options = input.options;
+    let of = |label: i32| Material::new(options.youngs_modulus.of(label), options.poissons_ratio.of(label));
+    let entries = input.values.iter().map(|&v| Ok((v, of(v)?))).collect::<Result<_>>()?;
+    Ok(MaterialMap::new(None, entries))
+}
+
+/// Mean length of the edges at each vertex, mm; an edge counts once per tet.
+pub fn mean_edge_lengths(mesh: &CandidateMesh) -> Vec<f64> {
+    let mut sums = vec![(0.0f64, 0u32); mesh.points.len()];
+    for tet in &mesh.tets {
+        for a in 0..4 {
+            for b in a + 1..4 {
+                let length = mesh.points[tet[a].index()].distance(mesh.points[tet[b].index()]);
+                for v in [tet[a], tet[b]] {
+                    sums[v.index()].0 += length;
+                    sums[v.index()].1 += 1;
+                }
+            }
+        }
+    }
+    sums.into_iter().map(|(sum, count)| if count > 0 { sum / f64::from(count) } else { 0.0 }).collect()
+}
+
+/// Where each source point is pulled; `None` where nothing near fits.
+fn source_displacements(mesh: &CandidateMesh, input: &Deformation, edges: &[f64]) -> Vec<Option<DVec3>> {
+    (0..input.sources.vertices.len())
+        .into_par_iter()
+        .with_min_len(64)
+        .map(|at| {
+            let vertex = input.sources.vertices[at].index();
+            let (point, sides) = (mesh.points[vertex], input.sources.sides(at));
+            let radius = input.options.search_radius_factor * edges[vertex];
+            let longest = input.options.edge_length_factor * edges[vertex];
+            let place = input.surface.project(point, sides, radius);
+            let place = place.or_else(|| input.targets.mean_within(input.image, point, radius, sides))?;
+            Some((place - point).clamp_length_max(longest))
+        })
+        .collect()
+}
+
+/// Scales the confidence at elements that the displacements would spoil; `false` where there is none.
+fn scale_confidence(
+    mesh: &CandidateMesh,
+    input: &Deformation,
+    model: &ModelPattern,
+    displacements: &[DVec3],
+    confidence: &mut [f64],
+) -> bool {
+    let bound = input.options.min_dihedral_angle;
+    let spoiled: Vec<bool> = mesh
+        .tets
+        .par_iter()
+        .with_min_len(1024)
+        .map(|tet| {
+            let moved = tet_score(tet.map(|v| mesh.points[v.index()] + displacements[v.index()]));
+            moved < bound && moved < tet_score(tet.map(|v| mesh.points[v.index()]))
+        })
+        .collect();
+    let mut any = false;
+    for (at, vertex) in input.sources.vertices.iter().enumerate() {
+        if model.incidence.of(vertex.index()).iter().any(|t| spoiled[*t as usize]) {
+            confidence[at] *= input.options.confidence_factor;
+            any = true;
+        }
+    }
+    any
+}
