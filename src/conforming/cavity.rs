@@ -26,7 +26,7 @@ use rustc_hash::FxHashMap;
 use super::kernel_mesh::KernelMesh;
 use crate::geometry::perturbation::is_cospherical_point_inside;
 use crate::geometry::predicates::{
-    FaceCofactors, LiftedPoint, face_cofactors, insphere, insphere_error_bound, insphere_exact, orient3d,
+    FaceCofactors, LiftedPoint, WholeGrid, face_cofactors, insphere, insphere_error_bound, insphere_exact, orient3d,
 };
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_FACES;
@@ -69,13 +69,15 @@ pub(super) struct Cavity {
     edges: FxHashMap<(VertexId, VertexId), TetFace>,
     /// Error bound of every in-sphere determinant within the extent of all points.
     static_bound: f64,
+    /// Where all points lie on one: exact tests are cheap.
+    grid: Option<WholeGrid>,
     /// Determinants that the filters could not decide.
     pub exact_tests: u64,
 }
 
 impl Cavity {
-    /// Scratch for points within a box of this extent.
-    pub fn new(extent: DVec3) -> Self {
+    /// Scratch for points within a box of this extent, all of them on `grid` if there is one.
+    pub fn new(extent: DVec3, grid: Option<WholeGrid>) -> Self {
         Self {
             tets: Vec::new(),
             boundary: Vec::new(),
@@ -85,6 +87,7 @@ impl Cavity {
             used_slots: Vec::new(),
             edges: FxHashMap::default(),
             static_bound: insphere_error_bound(extent, extent.length_squared()),
+            grid,
             exact_tests: 0,
         }
     }
@@ -120,11 +123,12 @@ impl Cavity {
             let vertices = mesh.vertices(tet);
             let neighbors = mesh.neighbors(tet);
             let is_finite = !vertices.iter().any(|v| v.is_ghost());
-            let rows = if is_finite {
-                vertices.map(|v| LiftedPoint::new(mesh.point(v) - point))
-            } else {
-                [LiftedPoint::default(); 4]
-            };
+            let mut rows = [LiftedPoint::default(); 4];
+            if is_finite {
+                for i in 0..4 {
+                    rows[i] = LiftedPoint::new(mesh.point(vertices[i]) - point);
+                }
+            }
             for face in 0..4 {
                 let side = neighbors[face];
                 if mesh.is_marked(side.tet()) {
@@ -133,13 +137,16 @@ impl Cavity {
                 let corners = TET_FACES[face];
                 let other = mesh.vertices(side.tet());
                 let conflict = if is_finite && !other[side.face()].is_ghost() {
-                    let [a, b, c] = corners.map(|i| &rows[i]);
-                    self.has_apex_conflict(mesh, point, &other, side.face(), [a, b, c])
+                    let face = [&rows[corners[0]], &rows[corners[1]], &rows[corners[2]]];
+                    self.has_apex_conflict(mesh, point, &other, side.face(), face)
                 } else {
                     self.has_conflict(mesh, point, side.tet(), &other)
                 };
                 if !conflict {
-                    self.boundary.push(BoundaryFace { outside: side, vertices: corners.map(|i| vertices[i]) });
+                    self.boundary.push(BoundaryFace {
+                        outside: side,
+                        vertices: [vertices[corners[0]], vertices[corners[1]], vertices[corners[2]]],
+                    });
                 } else {
                     if !other.iter().all(|&v| mesh.owns(v)) {
                         return false;
@@ -153,7 +160,7 @@ impl Cavity {
     }
 
     /// Whether the sphere of a finite tet contains the point, given the rows of the face opposite to `apex`.
-    #[inline]
+    #[inline(always)]
     fn has_apex_conflict<M: KernelMesh>(
         &mut self,
         mesh: &M,
@@ -183,11 +190,14 @@ impl Cavity {
         self.exact_conflict(other.map(|v| mesh.point(v)), point)
     }
 
-    #[cold]
+    #[inline(never)]
     fn exact_conflict(&mut self, tet: [DVec3; 4], point: DVec3) -> bool {
         self.exact_tests += 1;
         let [a, b, c, d] = tet;
-        let sign = insphere_exact(a, b, c, d, point);
+        let sign = match &self.grid {
+            Some(grid) => grid.insphere(a, b, c, d, point),
+            None => insphere_exact(a, b, c, d, point),
+        };
         if sign == 0.0 { is_cospherical_point_inside(tet, point) } else { sign > 0.0 }
     }
 
@@ -238,7 +248,8 @@ impl Cavity {
         for i in 0..self.boundary.len() {
             let BoundaryFace { outside, vertices: [a, b, c] } = self.boundary[i];
             let tet = self.new_tets[i];
-            let [p, q, r] = [a, b, c].map(|v| row_of(&mut self.table, &mut self.used_slots, &mut count, v) as usize);
+            let mut row = |v| usize::from(row_of(&mut self.table, &mut self.used_slots, &mut count, v));
+            let (p, q, r) = (row(a), row(b), row(c));
             mesh.set_row(tet, [vertex, a, b, c], [outside, TetFace::NONE, TetFace::NONE, TetFace::NONE]);
             mesh.set_neighbor(outside, TetFace::new(tet, 0));
             // The edge opposite to a in this face is b c, and so on; the other face has it as c b.

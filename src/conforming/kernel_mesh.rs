@@ -94,7 +94,7 @@ impl KernelRows {
 
     #[inline]
     pub fn vertices(&self, tet: TetId) -> [VertexId; 4] {
-        self.halves[2 * tet.index() + 1].map(VertexId)
+        bytemuck::cast(self.halves[2 * tet.index() + 1])
     }
 
     pub fn is_free(&self, slot: usize) -> bool {
@@ -153,13 +153,13 @@ impl KernelMesh for ExclusiveMesh<'_> {
 
     #[inline]
     fn neighbors(&self, tet: TetId) -> [TetFace; 4] {
-        self.rows.halves[2 * tet.index() + 2].map(TetFace)
+        bytemuck::cast(self.rows.halves[2 * tet.index() + 2])
     }
 
     #[inline]
     fn set_row(&mut self, tet: TetId, vertices: [VertexId; 4], neighbors: [TetFace; 4]) {
-        self.rows.halves[2 * tet.index() + 1] = vertices.map(|v| v.0);
-        self.rows.halves[2 * tet.index() + 2] = neighbors.map(|f| f.0);
+        self.rows.halves[2 * tet.index() + 1] = bytemuck::cast(vertices);
+        self.rows.halves[2 * tet.index() + 2] = bytemuck::cast(neighbors);
     }
 
     #[inline]

@@ -15,7 +15,7 @@
 use glam::DVec3;
 
 use super::kernel_mesh::KernelMesh;
-use crate::geometry::predicates::orient3d;
+use crate::geometry::predicates::{offset_orientation, orient3d};
 use crate::index::{TetId, VertexId};
 use crate::mesh::numbering::TET_FACES;
 
@@ -63,7 +63,9 @@ pub(super) fn locate<M: KernelMesh>(mesh: &M, point: DVec3, start: TetId, random
         if vertices.iter().any(|v| v.is_ghost()) {
             return Location::Tet(tet);
         }
-        let points = vertices.map(|v| mesh.point(v));
+        let points =
+            [mesh.point(vertices[0]), mesh.point(vertices[1]), mesh.point(vertices[2]), mesh.point(vertices[3])];
+        let offsets = [points[0] - point, points[1] - point, points[2] - point, points[3] - point];
         let first = random.next_face();
         for turn in 0..4 {
             let face = (first + turn) & 3;
@@ -71,7 +73,8 @@ pub(super) fn locate<M: KernelMesh>(mesh: &M, point: DVec3, start: TetId, random
                 continue;
             }
             let [a, b, c] = TET_FACES[face];
-            if orient3d(points[a], points[b], points[c], point) > 0.0 {
+            let rough = offset_orientation(offsets[a], offsets[b], offsets[c]);
+            if rough.unwrap_or_else(|| orient3d(points[a], points[b], points[c], point)) > 0.0 {
                 let next = mesh.neighbors(tet)[face];
                 tet = next.tet();
                 entry = next.face();

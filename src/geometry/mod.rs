@@ -6,6 +6,7 @@
 
 pub mod aabb_tree;
 pub mod bounding_box;
+pub mod double_double;
 pub mod intersection;
 pub mod perturbation;
 pub mod point_grid;

@@ -13,7 +13,10 @@
 //! 2. Semi-static filter: its error is below a constant times the product of the largest relative coordinates by
 //!    axis (and the largest squared distance). A caller that knows the extent of all its points can put the same
 //!    bound of the extent in front ([`insphere_error_bound`]), which costs one comparison.
-//! 3. Where the filter cannot decide: adaptive exact arithmetic.
+//! 3. In-sphere only: the same determinant with about 100 bits ([`super::double_double`]), which decides all but true
+//!    coincidences; or with whole numbers, which decides those too, where all points lie on a grid of whole numbers
+//!    times a power of two ([`WholeGrid`]).
+//! 4. Where nothing decided: adaptive exact arithmetic.
 //! # Source
 //! [Shewchuk1997], through the crate `robust`; the filter constants are derived below.
 //! # Invariants
@@ -22,6 +25,8 @@
 
 use glam::DVec3;
 use robust::Coord3D;
+
+use super::double_double::DoubleDouble;
 
 /// Half an ulp of 1.
 const EPSILON: f64 = f64::EPSILON / 2.0;
@@ -34,6 +39,12 @@ const ORIENT_FACTOR: f64 = 64.0 * EPSILON;
 /// the squared distance, and 9 of products and sums: error <= 24 * 17 * epsilon * (products of maxima), margin 1.5.
 const INSPHERE_FACTOR: f64 = 640.0 * EPSILON;
 
+/// As `INSPHERE_FACTOR` for sums and products of at most 2^-101 error each; the differences are exact.
+const EXTENDED_FACTOR: f64 = 640.0 * EXTENDED_EPSILON;
+
+/// 2^-101, see `double_double`.
+const EXTENDED_EPSILON: f64 = EPSILON * EPSILON * 32.0;
+
 /// Products may lose everything below the smallest normal number; far above that, far below any real determinant.
 const UNDERFLOW_GUARD: f64 = 1e-280;
 
@@ -44,11 +55,27 @@ fn coord(point: DVec3) -> Coord3D<f64> {
 /// Sign of the volume of the tet a b c d (six times the volume, magnitude approximate): positive in VTK's order.
 #[inline]
 pub fn orient3d(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
-    let (p, q, r) = (a - d, b - d, c - d);
+    match offset_orientation(a - d, b - d, c - d) {
+        Some(det) => det,
+        None => orient3d_exact(a, b, c, d),
+    }
+}
+
+/// [`orient3d`] of three points given relative to the fourth, or `None` where floating point cannot decide.
+#[inline]
+pub fn offset_orientation(p: DVec3, q: DVec3, r: DVec3) -> Option<f64> {
     let det = -p.dot(q.cross(r));
     let largest = p.abs().max(q.abs()).max(r.abs());
-    let bound = ORIENT_FACTOR * (largest.x * largest.y * largest.z) + UNDERFLOW_GUARD;
-    if det > bound || det < -bound { det } else { orient3d_exact(a, b, c, d) }
+    let product = largest.x * largest.y * largest.z;
+    let bound = ORIENT_FACTOR * product + UNDERFLOW_GUARD;
+    if det > bound || det < -bound {
+        Some(det)
+    } else if largest.min_element() == 0.0 {
+        // A difference is zero only between equal numbers: the points share a coordinate plane.
+        Some(0.0)
+    } else {
+        None
+    }
 }
 
 /// `robust` follows [Shewchuk1997]: positive when d lies below the plane of a b c seen counter-clockwise.
@@ -66,10 +93,88 @@ pub fn insphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
     if det > bound || det < -bound { det } else { insphere_exact(a, b, c, d, e) }
 }
 
-/// The same without a filter in front.
+/// The same for a caller that has already tried floating point.
 #[cold]
+#[inline(never)]
 pub fn insphere_exact(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
+    let (det, bound) = insphere_extended(a, b, c, d, e);
+    if det > bound || det < -bound {
+        return det;
+    }
     -robust::insphere(coord(a), coord(b), coord(c), coord(d), coord(e))
+}
+
+/// The determinant with about 100 bits, and a bound of its error.
+fn insphere_extended(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> (f64, f64) {
+    let row = |p: DVec3| {
+        let offset = [
+            DoubleDouble::difference(p.x, e.x),
+            DoubleDouble::difference(p.y, e.y),
+            DoubleDouble::difference(p.z, e.z),
+        ];
+        let [x, y, z] = offset;
+        (offset, x * x + y * y + z * z)
+    };
+    let cross = |p: &[DoubleDouble; 3], q: &[DoubleDouble; 3]| {
+        [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
+    };
+    let dot = |p: &[DoubleDouble; 3], q: &[DoubleDouble; 3]| p[0] * q[0] + p[1] * q[1] + p[2] * q[2];
+    let rows = [row(a), row(b), row(c), row(d)];
+    let [(p, p_lift), (q, q_lift), (r, r_lift), (s, s_lift)] = &rows;
+    // Laplace: the triple products of d with two of a b c, times the lift of the third; and that of a b c.
+    let (qr, rp, pq) = (cross(q, r), cross(r, p), cross(p, q));
+    let det = dot(&qr, s) * *p_lift + dot(&rp, s) * *q_lift + dot(&pq, s) * *r_lift - dot(&qr, p) * *s_lift;
+    let largest = (0..3).map(|i| rows.iter().fold(0.0, |m: f64, row| m.max(row.0[i].high.abs()))).product::<f64>();
+    let lift = rows.iter().fold(0.0, |m: f64, row| m.max(row.1.high));
+    (det.high, EXTENDED_FACTOR * largest * lift + UNDERFLOW_GUARD)
+}
+
+/// A power of two of which all coordinates of a point set are small multiples.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WholeGrid {
+    /// One over the step.
+    inverse_step: f64,
+}
+
+/// Differences up to this many steps keep every intermediate of the determinant below 2^127.
+const WHOLE_STEPS: f64 = (1u64 << 21) as f64;
+
+impl WholeGrid {
+    /// The grid of a point set, where there is one.
+    pub fn of(points: impl Iterator<Item = DVec3> + Clone) -> Option<Self> {
+        let low = points.clone().fold(DVec3::INFINITY, DVec3::min);
+        let high = points.clone().fold(DVec3::NEG_INFINITY, DVec3::max);
+        let extent = (high - low).max_element();
+        if !(extent > 0.0 && extent.is_finite()) {
+            return None;
+        }
+        // The finest step that keeps differences small enough; any coarser grid of powers of two lies on it.
+        let step = (extent.log2() - WHOLE_STEPS.log2()).ceil().exp2() * 2.0;
+        let inverse_step = 1.0 / step;
+        let on_grid = |x: f64| x * inverse_step == (x * inverse_step).round();
+        let fits =
+            |p: DVec3| p.to_array().into_iter().all(on_grid) && (p - low).max_element() * inverse_step <= WHOLE_STEPS;
+        if !inverse_step.is_normal() || !points.into_iter().all(fits) {
+            return None;
+        }
+        Some(Self { inverse_step })
+    }
+
+    /// The sign of the in-sphere determinant, exactly: positive when `e` lies inside.
+    pub fn insphere(&self, a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
+        // Differences of multiples of the step are exact in floating point: the quotients have at most 53 bits.
+        let row = |p: DVec3| {
+            let offset = ((p - e) * self.inverse_step).to_array().map(|x| i128::from(x as i64));
+            (offset, offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2])
+        };
+        let triple = |p: &[i128; 3], q: &[i128; 3], r: &[i128; 3]| {
+            (p[1] * q[2] - p[2] * q[1]) * r[0] + (p[2] * q[0] - p[0] * q[2]) * r[1] + (p[0] * q[1] - p[1] * q[0]) * r[2]
+        };
+        let [(p, p_lift), (q, q_lift), (r, r_lift), (s, s_lift)] = [row(a), row(b), row(c), row(d)];
+        let det = triple(&q, &r, &s) * p_lift + triple(&r, &p, &s) * q_lift + triple(&p, &q, &s) * r_lift
+            - triple(&p, &q, &r) * s_lift;
+        det.signum() as f64
+    }
 }
 
 /// A point relative to the query point of an in-sphere test, with its squared distance.
@@ -182,6 +287,38 @@ mod tests {
             let exact = insphere_exact(a, b, c, d, e);
             assert_eq!(insphere(a, b, c, d, e).partial_cmp(&0.0), exact.partial_cmp(&0.0), "{a} {b} {c} {d} {e}");
         }
+    }
+
+    #[test]
+    fn whole_grids_are_recognised_and_exact() {
+        let mut next = sequence(9);
+        let points: Vec<DVec3> = (0..400).map(|_| (DVec3::new(next(), next(), next()) * 6.0).floor() * 0.25).collect();
+        let grid = WholeGrid::of(points.iter().copied()).unwrap();
+        for p in points.chunks_exact(5) {
+            let expected = -robust::insphere(coord(p[0]), coord(p[1]), coord(p[2]), coord(p[3]), coord(p[4]));
+            assert_eq!(grid.insphere(p[0], p[1], p[2], p[3], p[4]).partial_cmp(&0.0), expected.partial_cmp(&0.0));
+        }
+        assert!(WholeGrid::of(points.iter().map(|p| *p * 0.1)).is_none());
+        assert!(WholeGrid::of([DVec3::ZERO].into_iter()).is_none());
+    }
+
+    #[test]
+    fn extended_determinant_stays_within_its_bound() {
+        let mut next = sequence(11);
+        let mut decided = 0;
+        for _ in 0..3000 {
+            let mut point = || (DVec3::new(next(), next(), next()) - DVec3::splat(0.5)).normalize() + DVec3::splat(3.0);
+            let [a, b, c, d, e] = [point(), point(), point(), point(), point()];
+            let exact = -robust::insphere(coord(a), coord(b), coord(c), coord(d), coord(e));
+            let (det, bound) = insphere_extended(a, b, c, d, e);
+            if det.abs() > bound {
+                assert_eq!(det > 0.0, exact > 0.0);
+                decided += 1;
+            } else {
+                assert!(exact.abs() <= 2.0 * bound);
+            }
+        }
+        assert!(decided > 2900);
     }
 
     #[test]
