@@ -88,7 +88,7 @@ impl Rounds<'_> {
             let mut elements = self.report.timed("elements", || lattice.elements(self.context))?;
             let mut found = self.count(lattice, &elements)?;
             let mut deficit = self.deficit(&found);
-            let mut marked = mark_leaves(lattice, &elements, &found, &deficit, &self.input.targets.clone(), finest);
+            let mut marked = mark_leaves(lattice, &elements, &found, &deficit, self.input.targets, finest);
             if !marked.contains(&true) {
                 let by_centroid = elements.labels.clone();
                 let relabelled = self.relabel(lattice, &mut elements, |_| false)?;
@@ -111,7 +111,7 @@ impl Rounds<'_> {
                 }
             }
             let context = self.context;
-            self.report.timed("refinement", || lattice.refine(marked, context))?;
+            self.report.timed("refinement", || lattice.refine(&marked, context))?;
         }
         Err(Error::Internal { reason: "refinement ran out of rounds".into() })
     }

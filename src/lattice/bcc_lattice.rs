@@ -212,17 +212,32 @@ pub struct LatticeVertices {
     pub positions: Vec<IVec3>,
     /// Label of the voxel around the vertex. 2 B / vertex.
     pub labels: Vec<Label>,
+    /// Ends of the edge in whose middle the vertex lies; the vertex itself, twice, at the coarsest level. 8 B / vertex.
+    pub parents: Vec<[u32; 2]>,
     index: FxHashMap<u64, u32>,
 }
 
 impl LatticeVertices {
-    /// The vertex at an integer position, made where there is none yet; whether it is new.
-    pub fn insert(&mut self, position: IVec3, frame: &LatticeFrame, field: &Field) -> (u32, bool) {
+    /// The vertex at an integer position of the coarsest level, made where there is none yet.
+    pub fn insert(&mut self, position: IVec3, frame: &LatticeFrame, field: &Field) -> u32 {
+        let own = self.positions.len() as u32;
+        self.insert_middle(position, [own, own], frame, field).0
+    }
+
+    /// The vertex in the middle of an edge, made where there is none yet; whether it is new.
+    pub fn insert_middle(
+        &mut self,
+        position: IVec3,
+        ends: [u32; 2],
+        frame: &LatticeFrame,
+        field: &Field,
+    ) -> (u32, bool) {
         let next = self.positions.len() as u32;
         let vertex = *self.index.entry(key_of(position)).or_insert(next);
         if vertex == next {
             self.positions.push(position);
             self.labels.push(field.label_at(frame.local(position)));
+            self.parents.push(ends);
         }
         (vertex, vertex == next)
     }
@@ -271,7 +286,7 @@ pub fn coarsest_tets(
                         let tet = [center, center + edge * along, ring[side], ring[(side + 1) % 4]];
                         let centroid = 0.25 * tet.iter().map(|p| frame.local(*p)).sum::<DVec3>();
                         if field.may_hold_labels(centroid, radius) {
-                            tets.push(tet.map(|p| vertices.insert(p, frame, field).0));
+                            tets.push(tet.map(|p| vertices.insert(p, frame, field)));
                         }
                     }
                 }

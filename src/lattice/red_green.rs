@@ -4,7 +4,8 @@
 //! 1. Marked tets become red: their six edges are split.
 //! 2. Every other tet looks at its edges. A pattern without a template, or an edge split twice, makes it red too;
 //!    repeated until nothing changes. The result does not depend on the order.
-//! 3. Red tets are replaced by their eight children; children that cannot hold a labelled voxel are dropped.
+//! 3. Red tets are replaced by their eight children; children that cannot hold a labelled voxel are dropped. Children
+//!    are looked at as in 2.
 //! 4. [`RedGreenLattice::elements`] closes what is left with green templates. Greens are never stored, so they are
 //!    gone before the next round.
 //!
@@ -34,9 +35,6 @@ use crate::mesh::numbering::TET_EDGES;
 /// Tets per parallel work item: some 0.1 ms, far above the cost of handing it over.
 const CHUNK: usize = 2048;
 
-/// All six edges are split.
-const RED: u8 = 0b111111;
-
 /// The adaptive lattice.
 pub struct RedGreenLattice<'a> {
     /// Where the lattice lies.
@@ -62,6 +60,14 @@ pub struct Elements {
     pub labels: Vec<Label>,
     /// The leaf each element comes from, increasing. 4 B / element.
     pub leaves: Vec<u32>,
+}
+
+/// Middle vertices of the leaves that become red.
+struct Splits {
+    /// Position in `middles` per leaf; `u32::MAX` for leaves that stay.
+    slots: Vec<u32>,
+    /// Middle vertices of the edges of each split leaf.
+    middles: Vec<[u32; 6]>,
 }
 
 impl<'a> RedGreenLattice<'a> {
@@ -94,37 +100,58 @@ impl<'a> RedGreenLattice<'a> {
     ///
     /// # Errors
     /// [`Error::Cancelled`], [`Error::LimitReached`].
-    pub fn refine(&mut self, mut marked: Vec<bool>, context: &RunContext) -> Result<()> {
+    pub fn refine(&mut self, marked: &[bool], context: &RunContext) -> Result<()> {
         let max_level = self.frame.max_level() as u8;
-        let mut pending: Vec<u32> = (0..self.tets.len())
-            .filter(|t| {
-                marked[*t] &= self.levels[*t] < max_level;
-                marked[*t]
-            })
-            .map(|t| t as u32)
-            .collect();
+        let refinable = |t: &usize| marked[*t] && self.levels[*t] < max_level;
+        let mut pending: Vec<u32> = (0..self.tets.len()).filter(refinable).map(|t| t as u32).collect();
         while !pending.is_empty() {
-            context.check()?;
-            for t in pending {
-                self.split_all_edges(t as usize);
-                marked[t as usize] = true;
+            let mut splits = Splits { slots: vec![u32::MAX; self.tets.len()], middles: Vec::new() };
+            let mut touched = vec![false; self.vertices.positions.len()];
+            while !pending.is_empty() {
+                context.check()?;
+                touched.fill(false);
+                for t in pending {
+                    self.split_all_edges(t as usize, &mut splits, &mut touched);
+                }
+                let near = |t: usize| {
+                    splits.slots[t] == u32::MAX && self.tets[t].iter().filter(|v| touched[**v as usize]).count() >= 2
+                };
+                pending = self.promoted(near);
             }
-            pending = self.promoted(&marked);
+            // A child of a promoted tet can itself have edges that its neighbours split.
+            let is_new = self.replace_by_children(&splits, context)?;
+            pending = self.promoted(|t| is_new[t]);
         }
-        self.replace_by_children(&marked, context)
+        Ok(())
     }
 
-    fn split_all_edges(&mut self, tet: usize) {
+    /// Splits the edges of a leaf. Touches the ends of the edges that are new, and the ends of the edges in whose
+    /// middle these ends lie: every leaf for which a new vertex matters has two touched corners.
+    fn split_all_edges(&mut self, tet: usize, splits: &mut Splits, touched: &mut Vec<bool>) {
         self.deepest = self.deepest.max(self.levels[tet] + 1);
-        let corners = self.tets[tet].map(|v| self.vertices.positions[v as usize]);
-        for [a, b] in TET_EDGES {
-            self.vertices.insert((corners[a] + corners[b]) / 2, &self.frame, &self.field);
+        let corners = self.tets[tet];
+        let positions = corners.map(|v| self.vertices.positions[v as usize]);
+        let mut middles = [0; 6];
+        for (e, [a, b]) in TET_EDGES.into_iter().enumerate() {
+            let ends = [corners[a], corners[b]];
+            let middle = (positions[a] + positions[b]) / 2;
+            let (vertex, is_new) = self.vertices.insert_middle(middle, ends, &self.frame, &self.field);
+            middles[e] = vertex;
+            if is_new {
+                touched.resize(self.vertices.positions.len(), false);
+                for end in ends {
+                    touched[end as usize] = true;
+                    self.vertices.parents[end as usize].iter().for_each(|p| touched[*p as usize] = true);
+                }
+            }
         }
+        splits.slots[tet] = splits.middles.len() as u32;
+        splits.middles.push(middles);
     }
 
-    /// Unmarked leaves that have to become red.
-    fn promoted(&self, marked: &[bool]) -> Vec<u32> {
-        let has_to = |t: usize| !marked[t] && self.levels[t] < self.deepest && self.must_be_red(&self.tets[t]);
+    /// Leaves among the candidates that have to become red.
+    fn promoted(&self, is_candidate: impl Fn(usize) -> bool + Sync) -> Vec<u32> {
+        let has_to = |t: usize| self.levels[t] < self.deepest && is_candidate(t) && self.must_be_red(&self.tets[t]);
         let chunks: Vec<Vec<u32>> = (0..self.tets.len().div_ceil(CHUNK))
             .into_par_iter()
             .map(|c| {
@@ -160,56 +187,58 @@ impl<'a> RedGreenLattice<'a> {
             let m = middles[e];
             self.vertices.middle(tet[a], m).is_some() || self.vertices.middle(m, tet[b]).is_some()
         };
-        let split: Vec<usize> = (0..6).filter(|e| mask >> e & 1 == 1).collect();
-        if split.iter().any(|e| split_again(*e)) {
+        if (0..6).any(|e| mask >> e & 1 == 1 && split_again(e)) {
             return true;
         }
+        if mask.count_ones() != 3 {
+            return false;
+        }
         // Three edges of a face: its middle triangle belongs to a child of the neighbour, which may be split as well.
-        split.len() == 3
-            && [(0, 1), (1, 2), (0, 2)]
-                .iter()
-                .any(|(a, b)| self.vertices.middle(middles[split[*a]], middles[split[*b]]).is_some())
+        let mut ring = middles.into_iter().filter(|m| *m != u32::MAX);
+        let [a, b, c] = [(); 3].map(|()| ring.next().expect("three bits of the mask are set"));
+        [(a, b), (b, c), (a, c)].iter().any(|(a, b)| self.vertices.middle(*a, *b).is_some())
     }
 
-    fn replace_by_children(&mut self, marked: &[bool], context: &RunContext) -> Result<()> {
-        let chunks: Vec<(Vec<[u32; 4]>, Vec<u8>)> = (0..self.tets.len().div_ceil(CHUNK))
+    /// Replaces split leaves by their children; tells which leaves are new.
+    fn replace_by_children(&mut self, splits: &Splits, context: &RunContext) -> Result<Vec<bool>> {
+        let chunks: Vec<(Vec<[u32; 4]>, Vec<u8>, Vec<bool>)> = (0..self.tets.len().div_ceil(CHUNK))
             .into_par_iter()
             .map(|c| {
                 context.check()?;
                 let range = c * CHUNK..((c + 1) * CHUNK).min(self.tets.len());
-                let (mut tets, mut levels) = (Vec::new(), Vec::new());
+                let (mut tets, mut levels, mut is_new) = (Vec::new(), Vec::new(), Vec::new());
                 for t in range {
-                    if marked[t] {
-                        self.push_children(t, &mut tets, &mut levels);
-                    } else {
+                    if splits.slots[t] == u32::MAX {
                         tets.push(self.tets[t]);
                         levels.push(self.levels[t]);
+                        is_new.push(false);
+                    } else {
+                        self.push_children(t, &splits.middles[splits.slots[t] as usize], &mut tets);
+                        levels.resize(tets.len(), self.levels[t] + 1);
+                        is_new.resize(tets.len(), true);
                     }
                 }
-                Ok((tets, levels))
+                Ok((tets, levels, is_new))
             })
             .collect::<Result<_>>()?;
-        let total = chunks.iter().map(|(t, _)| t.len()).sum();
+        let total = chunks.iter().map(|(t, _, _)| t.len()).sum();
         self.check_size(total)?;
+        let mut all_new = Vec::with_capacity(total);
         (self.tets, self.levels) = (Vec::with_capacity(total), Vec::with_capacity(total));
-        for (tets, levels) in chunks {
+        for (tets, levels, is_new) in chunks {
             self.tets.extend(tets);
             self.levels.extend(levels);
+            all_new.extend(is_new);
         }
-        Ok(())
+        Ok(all_new)
     }
 
-    fn push_children(&self, tet: usize, tets: &mut Vec<[u32; 4]>, levels: &mut Vec<u8>) {
-        let corners = self.tets[tet];
-        let (mask, middles) = self.split_edges(&corners);
-        debug_assert_eq!(mask, RED);
-        let level = self.levels[tet] + 1;
-        let radius = TET_RADIUS * self.frame.edge_length(u32::from(level));
+    fn push_children(&self, tet: usize, middles: &[u32; 6], tets: &mut Vec<[u32; 4]>) {
+        let radius = TET_RADIUS * self.frame.edge_length(u32::from(self.levels[tet]) + 1);
         for child in RED_CHILDREN {
-            let child = child.map(|v| local_vertex(v, &corners, &middles));
+            let child = child.map(|v| local_vertex(v, &self.tets[tet], middles));
             if self.field.may_hold_labels(self.centroid(&child), radius) {
                 tets.push(child);
-                levels.push(level);
             }
         }
     }
