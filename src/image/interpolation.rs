@@ -7,7 +7,7 @@
 //! # Cost
 //! No allocation; 8 loads per value.
 
-use std::ops::{Add, Mul};
+use std::ops::{Add, Mul, Sub};
 
 use glam::DVec3;
 
@@ -55,6 +55,27 @@ impl Stencil {
         let row = |at: usize| values[at] * (1.0 - x) + values[at + dx] * x;
         let plane = |at: usize| row(at) * (1.0 - y) + row(at + dy) * y;
         plane(self.base) * (1.0 - z) + plane(self.base + dz) * z
+    }
+}
+
+impl Stencil {
+    /// The derivative of [`Stencil::blend`] by the index along each axis.
+    #[inline]
+    pub fn derivative<T>(&self, values: &[T]) -> [T; 3]
+    where
+        T: Copy + Add<Output = T> + Sub<Output = T> + Mul<f32, Output = T>,
+    {
+        let [x, y, z] = self.fractions;
+        let [dx, dy, dz] = self.steps;
+        let row = |at: usize| values[at] * (1.0 - x) + values[at + dx] * x;
+        let slope = |at: usize| values[at + dx] - values[at];
+        let rows = [self.base, self.base + dy, self.base + dz, self.base + dy + dz];
+        let [a, b, c, d] = rows.map(row);
+        let [sa, sb, sc, sd] = rows.map(slope);
+        let along_x = (sa * (1.0 - y) + sb * y) * (1.0 - z) + (sc * (1.0 - y) + sd * y) * z;
+        let along_y = (b - a) * (1.0 - z) + (d - c) * z;
+        let along_z = (c - a) * (1.0 - y) + (d - b) * y;
+        [along_x, along_y, along_z]
     }
 }
 

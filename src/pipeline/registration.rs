@@ -1,15 +1,26 @@
 //! Two scans of a patient become a displacement field.
+//!
+//! # Method
+//! The scans become single-precision images, the mesh methods of the parameters become functions that the engine calls: the
+//! lattice engine for `cbc3d`; structured hexahedra are the engine's own.
+//!
+//! # Limits
+//! Mesh methods `delaunay` and `ld` are refused with the methods that exist.
 
 use glam::{DMat4, DVec3};
 
 use crate::context::RunContext;
-use crate::error::{Error, Result};
+use crate::error::{Error, Finding, FindingCode, Result, Severity};
 use crate::image::label_image::LabelImage;
-use crate::image::voxel_image::VoxelImage;
-use crate::mesh::mixed_mesh::MixedMesh;
-use crate::parameters::{ParameterSet, Table};
+use crate::image::scalar_image::ScalarImage;
+use crate::image::voxel_image::{VoxelData, VoxelImage};
+use crate::mesh::mixed_mesh::{ArrayData, MixedMesh, NamedArray};
+use crate::parameters::{ParameterSet, Table, Value};
+use crate::registration::options::{MeshMethod, MeshOptions, Options, check_rigid};
+use crate::registration::{self as engine, adaptive_loop::Block};
 
 pub use super::Output;
+use super::image_to_mesh;
 
 /// The parameters of this kind of job.
 pub const PARAMETERS: Table = crate::registration::options::PARAMETERS;
@@ -35,8 +46,99 @@ pub struct Input<'a> {
 
 /// Finds the displacement field from fixed to moving points.
 ///
+/// The output has the images `displacement` (fixed grid), `inverse` (moving grid), `warped`, `labels`; the deformed mesh; the points
+/// `source_points` (moving scan) and `target_points` (fixed scan) of the matched blocks with the arrays `similarity` and
+/// `rejected`; the array `rigid`.
+///
 /// # Errors
-/// Those of the registration engine.
-pub fn run(_input: &Input, _parameters: &ParameterSet, _context: &RunContext) -> Result<Output> {
-    Err(Error::Unsupported { reason: "this build has no registration engine".into() })
+/// Those of the registration engine and of the mesher; [`Error::InvalidArgument`] for a transform that is not rigid.
+pub fn run(input: &Input, parameters: &ParameterSet, context: &RunContext) -> Result<Output> {
+    let mut options = Options::from_parameters(parameters)?;
+    if let Some(rigid) = input.rigid {
+        check_rigid(&rigid).map_err(|reason| Error::argument("rigid", reason))?;
+        options.rigid.initial = Some(rigid);
+        options.rigid.search &= parameters.is_set("rigid-initialization");
+    }
+    let fixed = scan(input.fixed, "fixed", context)?;
+    let moving = scan(input.moving, "moving", context)?;
+    let engine_input = engine::Input {
+        fixed: &fixed,
+        moving: &moving,
+        segmentation: input.segmentation,
+        fixed_mask: input.fixed_mask,
+        mesh: input.mesh,
+        landmarks: input.landmarks,
+    };
+    let (output, report) = context.install(|| engine::run(&engine_input, &options, &mesh_of_labels, context))?;
+    let rigid = output.rigid.transpose().to_cols_array().to_vec();
+    let mut result = Output {
+        mesh: Some(output.mesh),
+        images: vec![
+            ("displacement".into(), output.field.to_voxel_image()),
+            ("inverse".into(), output.inverse.to_voxel_image()),
+            ("warped".into(), output.warped.into_voxel_image()),
+            ("labels".into(), label_voxels(&output.labels)),
+        ],
+        statistics: report.statistics(),
+        ..Output::default()
+    };
+    add_blocks(&output.blocks, &mut result);
+    result.arrays.push(NamedArray { name: "rigid".into(), components: 16, data: ArrayData::Real(rigid) });
+    Ok(result)
+}
+
+fn scan(image: &VoxelImage, name: &str, context: &RunContext) -> Result<ScalarImage> {
+    let (scan, replaced) = ScalarImage::from_voxel_image(image)?;
+    if replaced > 0 {
+        let text = format!("{replaced} voxels of the {name} scan are not finite and count as outside");
+        context.report(Finding::new(FindingCode::Other, Severity::Warning, text).with_ids(replaced as i64, -1));
+    }
+    Ok(scan)
+}
+
+/// Labels with the caller's values.
+fn label_voxels(labels: &LabelImage) -> VoxelImage {
+    let values = labels.values();
+    let voxels = labels.voxels();
+    let largest = values.iter().copied().max().unwrap_or(0);
+    let data = if let Ok(table) = values.iter().map(|v| u8::try_from(*v)).collect::<std::result::Result<Vec<_>, _>>() {
+        VoxelData::U8(voxels.iter().map(|l| table[l.index()]).collect())
+    } else {
+        debug_assert!(largest > 255);
+        VoxelData::I32(voxels.iter().map(|l| values[l.index()]).collect())
+    };
+    VoxelImage { grid: *labels.grid(), components: 1, data }
+}
+
+fn add_blocks(blocks: &[Block], result: &mut Output) {
+    result.points.push(("source_points".into(), blocks.iter().map(|b| b.moving).collect()));
+    result.points.push(("target_points".into(), blocks.iter().map(|b| b.fixed).collect()));
+    let similarity = ArrayData::Real(blocks.iter().map(|b| b.similarity).collect());
+    let rejected = ArrayData::Int(blocks.iter().map(|b| i32::from(b.is_rejected)).collect());
+    result.arrays.push(NamedArray { name: "similarity".into(), components: 1, data: similarity });
+    result.arrays.push(NamedArray { name: "rejected".into(), components: 1, data: rejected });
+}
+
+/// The mesh methods other than structured hexahedra.
+fn mesh_of_labels(labels: &LabelImage, options: &MeshOptions, context: &RunContext) -> Result<MixedMesh> {
+    match options.method {
+        MeshMethod::Cbc3d => lattice_mesh(labels, options, context),
+        MeshMethod::Delaunay | MeshMethod::LatticeDecimation | MeshMethod::StructuredHexahedra => {
+            Err(Error::Unsupported {
+                reason: "mesh-method delaunay and ld are not built yet: use cbc3d or structured-hex".into(),
+            })
+        }
+    }
+}
+
+fn lattice_mesh(labels: &LabelImage, options: &MeshOptions, context: &RunContext) -> Result<MixedMesh> {
+    let mut parameters = ParameterSet::new(image_to_mesh::PARAMETERS);
+    parameters.set("latticeSpacing", Value::Real(options.lattice_spacing))?;
+    parameters.set("fidelity", Value::Real(options.fidelity))?;
+    for (label, fidelity) in &options.label_fidelities {
+        parameters.set_for_label("fidelity", *label, Value::Real(*fidelity))?;
+    }
+    let input = image_to_mesh::Input { labels, fixed_points: &[] };
+    let mesh = image_to_mesh::run(&input, &parameters, context)?.mesh;
+    mesh.ok_or_else(|| Error::Internal { reason: "the lattice engine made no mesh".into() })
 }

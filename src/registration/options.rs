@@ -11,6 +11,7 @@ use glam::{DMat4, DVec3};
 
 use crate::error::{Error, Result};
 use crate::parameters::{ParameterSet, Value};
+use crate::sparse::solver::SolverKind;
 
 pub use super::options_table::PARAMETERS;
 
@@ -174,19 +175,6 @@ pub enum ShapeFunctions {
     Quadratic,
     /// Quadratic, hexahedra with extra shape functions.
     QuadraticExtra,
-}
-
-/// Solver of the linear systems.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SolverKind {
-    /// Jacobi-preconditioned conjugate gradients.
-    ConjugateGradient,
-    /// Stabilised biconjugate gradients.
-    BiCgStab,
-    /// Least squares.
-    Lsqr,
-    /// Sparse factorisation.
-    Direct,
 }
 
 /// Material of a label.
@@ -371,9 +359,11 @@ fn mechanics_options(parameters: &ParameterSet) -> MechanicsOptions {
         approximation_steps: size_of(parameters, "num-approx-steps"),
         interpolation_steps: size_of(parameters, "num-inter-steps"),
         solver: match parameters.integer("solver") {
-            0 => SolverKind::ConjugateGradient,
-            1 => SolverKind::BiCgStab,
-            2 => SolverKind::Lsqr,
+            0 => SolverKind::IncompleteCholeskyCg,
+            1 => SolverKind::BlockJacobiCg,
+            2 => SolverKind::JacobiCg,
+            3 => SolverKind::BiCgStab,
+            4 => SolverKind::Lsqr,
             _ => SolverKind::Direct,
         },
         tolerance: parameters.real("solver-tolerance"),

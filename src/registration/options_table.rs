@@ -518,12 +518,12 @@ pub const PARAMETERS: Table = &[
     Parameter {
         name: "solver",
         alias: None,
-        kind: Kind::Choice(&["jcg", "bicgstab", "lsqr", "direct"]),
+        kind: Kind::Choice(&["iccg", "bjcg", "jcg", "bicgstab", "lsqr", "direct"]),
         default: Default::Integer(0),
         unit: "",
         multiplicity: Multiplicity::Single,
         group: "Mechanics",
-        doc: "Solver of the linear systems: conjugate gradients, BiCGSTAB (the default of the thesis), LSQR, or a direct sparse factorisation.",
+        doc: "Solver of the linear systems: conjugate gradients with incomplete Cholesky, block Jacobi or Jacobi, BiCGSTAB (the default of the thesis), LSQR, or a direct sparse factorisation.",
     },
     Parameter {
         name: "solver-tolerance",
