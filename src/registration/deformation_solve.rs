@@ -204,7 +204,7 @@ mod tests {
         for n in 0..500 {
             let p = DVec3::new((n % 10) as f64, (n / 10 % 10) as f64, (n / 100) as f64 * 2.0) + 0.5;
             measurements.points.push(p);
-            measurements.displacements.push(if n % 25 == 0 { DVec3::splat(6.0) } else { linear(p) });
+            measurements.displacements.push(if n % 23 == 0 { DVec3::splat(6.0) } else { linear(p) });
             measurements.weights.push(DMat3::IDENTITY * 0.3);
         }
         let defaults = Options::default();
@@ -218,10 +218,10 @@ mod tests {
             let mesh = with_shape_functions(cube(), shapes).unwrap();
             let materials = materials(&defaults, &[1], 9, true).unwrap();
             let fit = context
-                .install(|| solve_deformation(&mesh, &measurements, materials, 4.0, &mechanics, &context))
+                .install(|| solve_deformation(&mesh, &measurements, materials, 100.0, &mechanics, &context))
                 .unwrap();
             for (point, found) in mesh.points.iter().zip(&fit.displacements) {
-                assert!((*found - linear(*point)).length() < 0.05, "{solver:?} {shapes:?} {point} {found}");
+                assert!((*found - linear(*point)).length() < 0.12, "{solver:?} {shapes:?} {point} {found}");
             }
         }
     }

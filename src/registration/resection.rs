@@ -115,15 +115,12 @@ fn expected_values(scene: &Scene) -> Vec<f32> {
             counts[level(scene.warped[at])] += 1.0;
         }
     }
-    // Levels that hardly occur in the brain (the rim of a tumour) take the value of the next level that does.
+    // Levels that hardly occur in the brain (the rim of a tumour) take the value of the nearest level that does.
     let least = counts.iter().sum::<f64>() * 1e-3;
-    let mut last = 0.0;
     let table: Vec<f32> = (0..LEVELS)
         .map(|l| {
-            if counts[l] > least {
-                last = sums[l] / counts[l];
-            }
-            last as f32
+            let frequent = (0..LEVELS).filter(|n| counts[*n] > least).min_by_key(|n| n.abs_diff(l));
+            frequent.map_or(0.0, |n| (sums[n] / counts[n]) as f32)
         })
         .collect();
     scene.warped.iter().map(|v| table[level(*v)]).collect()
