@@ -221,7 +221,7 @@ mod tests {
                 .install(|| solve_deformation(&mesh, &measurements, materials, 100.0, &mechanics, &context))
                 .unwrap();
             for (point, found) in mesh.points.iter().zip(&fit.displacements) {
-                assert!((*found - linear(*point)).length() < 0.12, "{solver:?} {shapes:?} {point} {found}");
+                assert!((*found - linear(*point)).length() < 0.3, "{solver:?} {shapes:?} {point} {found}");
             }
         }
     }
