@@ -14,9 +14,12 @@
 //! The surface's points are the first points of the mesh, bit for bit, in their order (equal points merged, unused
 //! ones left out); every facet is a face of the mesh; no other point lies on the surface.
 
+pub mod boundary_recovery;
 mod cavity;
 pub mod delaunay_kernel;
 mod delaunay_parallel;
+pub mod domain_labels;
+pub mod enclosure;
 pub mod fault_picture;
 pub mod flip_criteria;
 pub mod flips;

@@ -116,23 +116,6 @@ impl AabbTree {
     }
 }
 
-/// Position of the largest component.
-trait MaxPosition {
-    fn max_position(self) -> usize;
-}
-
-impl MaxPosition for DVec3 {
-    fn max_position(self) -> usize {
-        if self.x >= self.y && self.x >= self.z {
-            0
-        } else if self.y >= self.z {
-            1
-        } else {
-            2
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

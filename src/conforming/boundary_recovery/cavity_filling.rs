@@ -1,0 +1,291 @@
+//! Fills a polyhedron with tets on its own vertices, by a search that knows when it is beaten.
+//!
+//! # Method
+//! The front is a set of faces with a side that is still empty. A step puts a tet on one of them; faces that meet their
+//! mirror image vanish, others join the front. The polyhedron is filled when the front is empty.
+//! 1. For every front face the set of vertices that could be its apex is kept as a bit mask: the tet must be positive,
+//!    and its new edges and faces must not meet the front.
+//! 2. The face with the fewest candidates is taken: one without any ends the branch at once.
+//! 3. Its candidates are tried in order: those that close most faces first, then the better shaped.
+//! 4. As the filled part only grows, a candidate that is out stays out below: masks are only thinned.
+//! ```text
+//!   a face that must exist inside is put into the front from both sides: the two copies together bound nothing,
+//!   but each has to be covered by a tet.
+//! ```
+//! # Source
+//! [LiuChenChen2007] for the search over small polyhedra; the masks, the choice of the face and the sheets are ours.
+//!
+//! # Invariants
+//! A returned filling has positive tets only, and the front as its boundary; that it covers the polyhedron once follows
+//! (`constrained_mesh`). The tests against the front only save time.
+//!
+//! # Cost
+//! Exponential in the worst case, so the number of tets placed is limited by the caller. At most 64 vertices.
+
+use glam::DVec3;
+use rustc_hash::FxHashMap;
+
+use crate::geometry::intersection::segment_meets_triangle;
+use crate::geometry::predicates::orient3d;
+use crate::index::VertexId;
+
+/// Vertices of one polyhedron: the bits of a mask.
+pub const MOST_VERTICES: usize = 64;
+
+type Face = [u8; 3];
+
+/// A polyhedron being filled.
+struct CavityFilling {
+    ids: Vec<VertexId>,
+    points: Vec<DVec3>,
+    /// Whether an edge meets a face, by both packed.
+    meetings: FxHashMap<u32, bool>,
+    steps_left: usize,
+    tets: Vec<[u8; 4]>,
+}
+
+#[derive(Clone, Copy)]
+struct FrontFace {
+    /// Smallest vertex first, turned so that a positive tet lies on it.
+    face: Face,
+    candidates: u64,
+}
+
+/// Fills the polyhedron bounded by `front` (a tet `(a, b, c, apex)` on each face is positive), containing every face of
+/// `sheets`, with at most `steps` tets placed. `None` where there is no filling or it was not found.
+pub fn fill_cavity(
+    front: &[[VertexId; 3]],
+    sheets: &[[VertexId; 3]],
+    point_of: impl Fn(VertexId) -> DVec3,
+    steps: usize,
+) -> Option<Vec<[VertexId; 4]>> {
+    let mut ids: Vec<VertexId> = front.iter().flatten().copied().collect();
+    ids.extend(sheets.iter().flatten());
+    ids.sort_unstable();
+    ids.dedup();
+    if ids.len() > MOST_VERTICES || ids.last().is_none_or(|v| v.is_ghost()) {
+        return None;
+    }
+    let points = ids.iter().map(|&v| point_of(v)).collect();
+    let local = |v: VertexId| ids.binary_search(&v).expect("every vertex of a face was collected") as u8;
+    let mut faces: Vec<Face> = Vec::with_capacity(front.len() + 2 * sheets.len());
+    for face in front {
+        let face = turned(face.map(local));
+        // A face and its mirror image bound nothing: both go.
+        match faces.iter().position(|&f| f == mirrored(face)) {
+            Some(position) => drop(faces.swap_remove(position)),
+            None => faces.push(face),
+        }
+    }
+    for sheet in sheets {
+        let face = turned(sheet.map(local));
+        if !faces.contains(&face) && !faces.contains(&mirrored(face)) {
+            faces.extend([face, mirrored(face)]);
+        }
+    }
+    let mut filling =
+        CavityFilling { ids: ids.clone(), points, meetings: FxHashMap::default(), steps_left: steps, tets: Vec::new() };
+    let mut start: Vec<FrontFace> = faces.iter().map(|&face| FrontFace { face, candidates: 0 }).collect();
+    for i in 0..start.len() {
+        start[i].candidates = filling.all_candidates(start[i].face, &start);
+        if start[i].candidates == 0 {
+            return None;
+        }
+    }
+    filling.search(&start).then(|| filling.tets.iter().map(|t| t.map(|i| filling.ids[i as usize])).collect())
+}
+
+/// The same face from its smallest vertex.
+fn turned([a, b, c]: Face) -> Face {
+    if a < b && a < c {
+        [a, b, c]
+    } else if b < c {
+        [b, c, a]
+    } else {
+        [c, a, b]
+    }
+}
+
+/// The same face seen from the other side.
+fn mirrored([a, b, c]: Face) -> Face {
+    [a, c, b]
+}
+
+/// The three faces beside `face` of the tet on it, outward.
+fn other_faces([i, j, k]: Face, v: u8) -> [Face; 3] {
+    [turned([j, k, v]), turned([i, v, k]), turned([i, j, v])]
+}
+
+impl CavityFilling {
+    fn search(&mut self, front: &[FrontFace]) -> bool {
+        let Some(position) = (0..front.len()).min_by_key(|&i| front[i].candidates.count_ones()) else { return true };
+        let FrontFace { face, candidates } = front[position];
+        for apex in self.ordered(face, candidates, front) {
+            if self.steps_left == 0 {
+                return false;
+            }
+            self.steps_left -= 1;
+            let Some(next) = self.place(front, position, apex) else { continue };
+            self.tets.push([face[0], face[1], face[2], apex]);
+            if self.search(&next) {
+                return true;
+            }
+            self.tets.pop();
+        }
+        false
+    }
+
+    /// Candidates of a face: those that close most faces first, then by shape.
+    fn ordered(&self, face: Face, candidates: u64, front: &[FrontFace]) -> Vec<u8> {
+        let mut order: Vec<(usize, f64, u8)> = bits(candidates)
+            .map(|v| {
+                let others = other_faces(face, v);
+                let closed = others.iter().filter(|&&f| front.iter().any(|g| g.face == mirrored(f))).count();
+                (3 - closed, -self.shape(face, v), v)
+            })
+            .collect();
+        order.sort_by(|l, r| l.0.cmp(&r.0).then(l.1.total_cmp(&r.1)).then(l.2.cmp(&r.2)));
+        order.into_iter().map(|(_, _, v)| v).collect()
+    }
+
+    /// Volume over the cube of the mean edge length: a measure of shape good enough for an order.
+    fn shape(&self, face: Face, v: u8) -> f64 {
+        let [a, b, c] = face.map(|i| self.points[i as usize]);
+        let d = self.points[v as usize];
+        let squares = [a - b, b - c, c - a, a - d, b - d, c - d].map(|e| e.length_squared());
+        (b - a).cross(c - a).dot(d - a) / squares.iter().sum::<f64>().powf(1.5)
+    }
+
+    /// The front after a tet was put on face number `position`; `None` where a face is left without a candidate.
+    fn place(&mut self, front: &[FrontFace], position: usize, apex: u8) -> Option<Vec<FrontFace>> {
+        let face = front[position].face;
+        let mut next: Vec<FrontFace> = Vec::with_capacity(front.len() + 2);
+        next.extend(front.iter().enumerate().filter(|(i, _)| *i != position).map(|(_, f)| *f));
+        let mut added: Vec<Face> = Vec::with_capacity(3);
+        for other in other_faces(face, apex) {
+            if let Some(i) = next.iter().position(|f| f.face == mirrored(other)) {
+                next.swap_remove(i);
+            } else if next.iter().any(|f| f.face == other) {
+                return None; // the far side of this face is taken
+            } else {
+                added.push(other);
+            }
+        }
+        for i in 0..next.len() {
+            for v in bits(next[i].candidates) {
+                if !added.iter().all(|&g| self.is_clear_of(next[i].face, v, g)) {
+                    next[i].candidates &= !(1 << v);
+                }
+            }
+            if next[i].candidates == 0 {
+                return None;
+            }
+        }
+        next.extend(added.iter().map(|&face| FrontFace { face, candidates: 0 }));
+        for i in next.len() - added.len()..next.len() {
+            next[i].candidates = self.all_candidates(next[i].face, &next);
+            if next[i].candidates == 0 {
+                return None;
+            }
+        }
+        Some(next)
+    }
+
+    fn all_candidates(&mut self, face: Face, front: &[FrontFace]) -> u64 {
+        let [a, b, c] = face.map(|i| self.points[i as usize]);
+        let mut mask = 0;
+        for v in 0..self.ids.len() as u8 {
+            if face.contains(&v) || orient3d(a, b, c, self.points[v as usize]) <= 0.0 {
+                continue;
+            }
+            if front.iter().all(|g| self.is_clear_of(face, v, g.face)) {
+                mask |= 1 << v;
+            }
+        }
+        mask
+    }
+
+    /// Whether the new edges and faces of the tet on `face` keep clear of a front face, apart from shared vertices.
+    fn is_clear_of(&mut self, face: Face, v: u8, other: Face) -> bool {
+        if other == face {
+            return true;
+        }
+        for u in face {
+            if !other.contains(&u) && !other.contains(&v) && self.meets([u, v], other) {
+                return false;
+            }
+        }
+        let ([x, y, z], [p, q, r]) = (face, other);
+        for triangle in [[x, y, v], [y, z, v], [z, x, v]] {
+            for edge in [[p, q], [q, r], [r, p]] {
+                let apart = !triangle.contains(&edge[0]) && !triangle.contains(&edge[1]);
+                if apart && self.meets(edge, triangle) {
+                    return false;
+                }
+            }
+        }
+        true
+    }
+
+    fn meets(&mut self, mut edge: [u8; 2], mut face: Face) -> bool {
+        edge.sort_unstable();
+        face.sort_unstable();
+        let packed = [edge[0], edge[1], face[0], face[1], face[2]];
+        let key = packed.iter().fold(0_u32, |key, &v| key << 6 | u32::from(v));
+        let points = &self.points;
+        *self.meetings.entry(key).or_insert_with(|| {
+            let at = |v: u8| points[v as usize];
+            segment_meets_triangle(at(edge[0]), at(edge[1]), face.map(at))
+        })
+    }
+}
+
+/// The positions of the set bits.
+fn bits(mut mask: u64) -> impl Iterator<Item = u8> {
+    std::iter::from_fn(move || {
+        let bit = mask.trailing_zeros();
+        mask &= mask.wrapping_sub(1);
+        (bit < 64).then_some(bit as u8)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fill(points: &[[f64; 3]], front: &[[u32; 3]], sheets: &[[u32; 3]]) -> Option<Vec<[VertexId; 4]>> {
+        let ids = |faces: &[[u32; 3]]| faces.iter().map(|f| f.map(VertexId)).collect::<Vec<_>>();
+        fill_cavity(&ids(front), &ids(sheets), |v| DVec3::from_array(points[v.index()]), 10_000)
+    }
+
+    const BIPYRAMID: [[f64; 3]; 5] = [[1., 0., 0.], [-0.5, 0.8, 0.], [-0.5, -0.8, 0.], [0., 0., 1.], [0., 0., -1.]];
+    /// Faces of the bipyramid as seen from inside.
+    const BIPYRAMID_FACES: [[u32; 3]; 6] = [[0, 3, 1], [1, 3, 2], [2, 3, 0], [0, 1, 4], [1, 2, 4], [2, 0, 4]];
+
+    #[test]
+    fn a_sheet_decides_between_two_and_three_tets() {
+        assert!(fill(&BIPYRAMID, &BIPYRAMID_FACES, &[]).is_some());
+        assert_eq!(fill(&BIPYRAMID, &BIPYRAMID_FACES, &[[0, 1, 2]]).unwrap().len(), 2);
+        assert_eq!(fill(&BIPYRAMID, &BIPYRAMID_FACES, &[[0, 3, 4]]).unwrap().len(), 3);
+    }
+
+    #[test]
+    fn schoenhardts_polyhedron_has_no_filling() {
+        let ring = |z: f64, turn: f64| {
+            (0..3).map(move |i| {
+                let angle = (f64::from(i) * 120.0 + turn).to_radians();
+                [angle.cos(), angle.sin(), z]
+            })
+        };
+        let points: Vec<[f64; 3]> = ring(0.0, 0.0).chain(ring(1.0, 30.0)).collect();
+        let ends = [[0, 1, 2], [3, 5, 4]];
+        let (mut one, mut two) = (ends.to_vec(), ends.to_vec());
+        for i in 0..3 {
+            let j = (i + 1) % 3;
+            one.extend([[i, 3 + i, j], [j, 3 + i, 3 + j]]);
+            two.extend([[i, 3 + j, j], [i, 3 + i, 3 + j]]);
+        }
+        let found = [fill(&points, &one, &[]), fill(&points, &two, &[])].iter().flatten().count();
+        assert_eq!(found, 1, "one choice of diagonals is convex, the other Schoenhardt's");
+    }
+}

@@ -1,0 +1,318 @@
+//! The mesh under recovery: a tet complex, what it must contain, and the one way to change it.
+//!
+//! # Method
+//! 1. Constraints are kept by their vertices: segments (edges that must exist) and subfaces (faces that must exist),
+//!    each subface with its facet. A segment or facet split by a Steiner point is replaced by its parts; the splits are
+//!    recorded, so that they can be taken back in reverse order.
+//! 2. Every reconnection replaces a set of tets by other tets ([`ConstrainedMesh::replace`]).
+//! ```text
+//!    old tets, boundary B        new tets, all positive, boundary B as well
+//! ```
+//!    Each point of the old region is then covered by the new tets exactly once: the number of positive tets that cover
+//!    a point is the winding number of their common boundary around it, and that is the same for old and new. So
+//!    positive volumes and an equal boundary are all there is to check.
+//!
+//! # Source
+//! [GeorgeHechtSaltel1991] for recovery as a sequence of local changes; the covering argument is ours.
+//!
+//! # Invariants
+//! Every finite tet is positive by the exact predicate. A constraint that the mesh contains is never lost: plans refuse
+//! to swallow it.
+
+use glam::DVec3;
+use rustc_hash::{FxHashMap, FxHashSet};
+
+use crate::error::Result;
+use crate::geometry::predicates::orient3d;
+use crate::index::{Label, TetFace, TetId, VertexId};
+use crate::mesh::numbering::{TET_EDGES, TET_FACES};
+use crate::mesh::tet_complex::TetComplex;
+use crate::mesh::tet_store::TetStore;
+use crate::mesh::topology::{collect_ball, find_edge, find_face};
+
+/// An edge, smaller vertex first.
+pub type EdgeKey = [VertexId; 2];
+/// A face, vertices ascending.
+pub type FaceKey = [VertexId; 3];
+
+/// How a Steiner point came onto the surface.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Split {
+    /// The segment between two vertices was split; for each subface at it the third vertex and the facet.
+    Edge(EdgeKey, Vec<(VertexId, u32)>),
+    /// A subface was split.
+    Face(FaceKey, u32),
+}
+
+/// A mesh with constraints.
+#[derive(Debug, Default)]
+pub struct ConstrainedMesh {
+    /// The tets.
+    pub complex: TetComplex,
+    /// Faces that must exist, with their facets.
+    pub subfaces: FxHashMap<FaceKey, u32>,
+    /// Edges that must exist: third vertices of the subfaces at each.
+    pub wings: FxHashMap<EdgeKey, Vec<VertexId>>,
+    /// Steiner points on the surface in the order of their insertion.
+    pub splits: Vec<(VertexId, Split)>,
+    /// Reconnections committed.
+    pub reconnections: usize,
+    /// Cavities searched, and filled.
+    pub cavities: [usize; 2],
+    ball: Vec<TetId>,
+}
+
+/// The key of an edge.
+#[inline]
+pub fn edge_key(a: VertexId, b: VertexId) -> EdgeKey {
+    if a < b { [a, b] } else { [b, a] }
+}
+
+/// The key of a face.
+#[inline]
+pub fn face_key(mut face: [VertexId; 3]) -> FaceKey {
+    face.sort_unstable();
+    face
+}
+
+/// The keys of the edges of a face key, each with the third vertex.
+fn edges_of_face([a, b, c]: FaceKey) -> [(EdgeKey, VertexId); 3] {
+    [([a, b], c), ([b, c], a), ([a, c], b)]
+}
+
+impl ConstrainedMesh {
+    /// A mesh that is to contain `facets` and their edges.
+    pub fn new(complex: TetComplex, facets: &[[VertexId; 3]]) -> Self {
+        let mut mesh = Self { complex, ..Self::default() };
+        for (i, &facet) in facets.iter().enumerate() {
+            mesh.add_subface(face_key(facet), i as u32);
+        }
+        mesh
+    }
+
+    /// The point of a vertex.
+    #[inline]
+    pub fn at(&self, vertex: VertexId) -> DVec3 {
+        self.complex.point(vertex)
+    }
+
+    /// Exact orientation of four vertices.
+    #[inline]
+    pub fn orient(&self, [a, b, c, d]: [VertexId; 4]) -> f64 {
+        orient3d(self.at(a), self.at(b), self.at(c), self.at(d))
+    }
+
+    /// Adds a subface and its edges to the constraints.
+    pub fn add_subface(&mut self, key: FaceKey, facet: u32) {
+        self.subfaces.insert(key, facet);
+        for (edge, third) in edges_of_face(key) {
+            self.wings.entry(edge).or_default().push(third);
+        }
+    }
+
+    /// Removes a subface; edges left without one are no constraints any more.
+    pub fn remove_subface(&mut self, key: FaceKey) -> Option<u32> {
+        let facet = self.subfaces.remove(&key)?;
+        for (edge, third) in edges_of_face(key) {
+            if let Some(wings) = self.wings.get_mut(&edge) {
+                wings.retain(|&v| v != third);
+                if wings.is_empty() {
+                    self.wings.remove(&edge);
+                }
+            }
+        }
+        Some(facet)
+    }
+
+    /// Splits a segment and the subfaces at it at `steiner`; returns the new segments.
+    pub fn split_segment(&mut self, edge: EdgeKey, steiner: VertexId) -> Vec<EdgeKey> {
+        let mut thirds = Vec::new();
+        let mut new = vec![edge_key(edge[0], steiner), edge_key(edge[1], steiner)];
+        for third in self.wings.get(&edge).cloned().unwrap_or_default() {
+            let Some(facet) = self.remove_subface(face_key([edge[0], edge[1], third])) else { continue };
+            self.add_subface(face_key([edge[0], steiner, third]), facet);
+            self.add_subface(face_key([edge[1], steiner, third]), facet);
+            new.push(edge_key(steiner, third));
+            thirds.push((third, facet));
+        }
+        self.splits.push((steiner, Split::Edge(edge, thirds)));
+        new
+    }
+
+    /// Splits a subface at `steiner`; returns the new segments.
+    pub fn split_subface(&mut self, face: FaceKey, steiner: VertexId) -> Vec<EdgeKey> {
+        let Some(facet) = self.remove_subface(face) else { return Vec::new() };
+        let [a, b, c] = face;
+        for (u, v) in [(a, b), (b, c), (a, c)] {
+            self.add_subface(face_key([u, v, steiner]), facet);
+        }
+        self.splits.push((steiner, Split::Face(face, facet)));
+        face.map(|v| edge_key(v, steiner)).to_vec()
+    }
+
+    /// Whether the edge must exist.
+    #[inline]
+    pub fn is_segment(&self, a: VertexId, b: VertexId) -> bool {
+        self.wings.contains_key(&edge_key(a, b))
+    }
+
+    /// Whether the side lies on a subface.
+    #[inline]
+    pub fn is_subface(&self, side: TetFace) -> bool {
+        self.subfaces.contains_key(&face_key(self.complex.face_vertices(side)))
+    }
+
+    /// The tets at a vertex.
+    pub fn ball(&self, vertex: VertexId) -> Vec<TetId> {
+        let mut ball = Vec::with_capacity(32);
+        if let Some(start) = self.complex.tet_of(vertex).some() {
+            collect_ball(&self.complex, vertex, start, &mut ball);
+        }
+        ball
+    }
+
+    /// Whether the mesh has the edge.
+    pub fn has_edge(&mut self, a: VertexId, b: VertexId) -> bool {
+        find_edge(&self.complex, a, b, &mut self.ball).is_some()
+    }
+
+    /// A side with these vertices.
+    pub fn find_face(&mut self, face: FaceKey) -> Option<TetFace> {
+        find_face(&self.complex, face, &mut self.ball)
+    }
+
+    /// The segments that the mesh lacks, ascending.
+    pub fn missing_segments(&self) -> Vec<EdgeKey> {
+        let mut present: FxHashSet<EdgeKey> = FxHashSet::default();
+        for tet in self.complex.finite_tets() {
+            let v = self.complex.vertices(tet);
+            for [i, j] in TET_EDGES {
+                let key = edge_key(v[i], v[j]);
+                if self.wings.contains_key(&key) {
+                    present.insert(key);
+                }
+            }
+        }
+        let mut missing: Vec<EdgeKey> = self.wings.keys().filter(|k| !present.contains(*k)).copied().collect();
+        missing.sort_unstable();
+        missing
+    }
+
+    /// The subfaces that the mesh lacks, ascending.
+    pub fn missing_subfaces(&self) -> Vec<FaceKey> {
+        let mut present: FxHashSet<FaceKey> = FxHashSet::default();
+        for tet in self.complex.finite_tets() {
+            let v = self.complex.vertices(tet);
+            for [i, j, k] in TET_FACES {
+                let key = face_key([v[i], v[j], v[k]]);
+                if self.subfaces.contains_key(&key) {
+                    present.insert(key);
+                }
+            }
+        }
+        let mut missing: Vec<FaceKey> = self.subfaces.keys().filter(|k| !present.contains(*k)).copied().collect();
+        missing.sort_unstable();
+        missing
+    }
+
+    /// The faces around a set of tets as seen from inside, and the constraints inside: subfaces between two of them, and
+    /// segments that no face of the boundary has.
+    pub fn shape_of(&self, tets: &[TetId]) -> CavityShape {
+        let inside: FxHashSet<TetId> = tets.iter().copied().collect();
+        let mut shape = CavityShape::default();
+        let mut border: FxHashSet<EdgeKey> = FxHashSet::default();
+        let mut edges: FxHashSet<EdgeKey> = FxHashSet::default();
+        for &tet in tets {
+            let v = self.complex.vertices(tet);
+            for face in 0..4 {
+                let side = TetFace::new(tet, face);
+                let [a, b, c] = TET_FACES[face].map(|i| v[i]);
+                let other = self.complex.neighbor(side);
+                if other != TetFace::NONE && inside.contains(&other.tet()) {
+                    if side.0 < other.0 && self.is_subface(side) {
+                        shape.sheets.push([a, b, c]);
+                    }
+                    continue;
+                }
+                shape.front.push([a, c, b]);
+                border.extend([edge_key(a, b), edge_key(b, c), edge_key(c, a)]);
+            }
+            for [i, j] in TET_EDGES {
+                let key = edge_key(v[i], v[j]);
+                if self.wings.contains_key(&key) {
+                    edges.insert(key);
+                }
+            }
+        }
+        shape.segments = edges.into_iter().filter(|e| !border.contains(e)).collect();
+        shape.segments.sort_unstable();
+        shape
+    }
+
+    /// Replaces `old` tets by `new` ones; nothing happens and `None` is returned where the boundaries differ or a new
+    /// tet is not positive.
+    ///
+    /// # Errors
+    /// As [`TetStore::create_tet`].
+    pub fn replace(&mut self, old: &[TetId], new: &[[VertexId; 4]]) -> Result<Option<Vec<TetId>>> {
+        if new.iter().any(|&tet| self.orient(tet) <= 0.0) {
+            return Ok(None);
+        }
+        let mut inside: Vec<TetId> = old.to_vec();
+        inside.sort_unstable();
+        // Every face twice: from a new tet and from its neighbour, new or outside.
+        let mut faces: Vec<(FaceKey, u32, u32)> = Vec::with_capacity(new.len() * 4 + old.len() * 4);
+        for &tet in old {
+            for face in 0..4 {
+                let side = TetFace::new(tet, face);
+                let other = self.complex.neighbor(side);
+                if other == TetFace::NONE || inside.binary_search(&other.tet()).is_err() {
+                    faces.push((face_key(self.complex.face_vertices(side)), u32::MAX, other.0));
+                }
+            }
+        }
+        for (i, tet) in new.iter().enumerate() {
+            for (face, corners) in TET_FACES.iter().enumerate() {
+                faces.push((face_key(corners.map(|c| tet[c])), i as u32, face as u32));
+            }
+        }
+        faces.sort_unstable();
+        let paired = faces.len() % 2 == 0 && faces.chunks_exact(2).all(|pair| pair[0].0 == pair[1].0);
+        if !paired || faces.windows(3).any(|three| three[0].0 == three[2].0) {
+            return Ok(None);
+        }
+        for &tet in old {
+            self.complex.delete_tet(tet);
+        }
+        let mut ids = Vec::with_capacity(new.len());
+        for &tet in new {
+            ids.push(self.complex.create_tet(tet, Label::BACKGROUND)?);
+        }
+        let side_of = |entry: &(FaceKey, u32, u32)| match entry.1 {
+            u32::MAX => TetFace(entry.2),
+            i => TetFace::new(ids[i as usize], entry.2 as usize),
+        };
+        for pair in faces.chunks_exact(2) {
+            let (one, two) = (side_of(&pair[0]), side_of(&pair[1]));
+            match (one == TetFace::NONE, two == TetFace::NONE) {
+                (false, false) => self.complex.glue(one, two),
+                (true, false) => self.complex.unglue(two),
+                (false, true) => self.complex.unglue(one),
+                (true, true) => {}
+            }
+        }
+        self.reconnections += 1;
+        Ok(Some(ids))
+    }
+}
+
+/// A set of tets seen as a polyhedron to be filled anew.
+#[derive(Debug, Clone, Default)]
+pub struct CavityShape {
+    /// Boundary faces; a new tet `(a, b, c, apex)` on them is positive.
+    pub front: Vec<[VertexId; 3]>,
+    /// Subfaces inside, which a filling must contain.
+    pub sheets: Vec<[VertexId; 3]>,
+    /// Segments inside, which a filling must contain.
+    pub segments: Vec<EdgeKey>,
+}

@@ -1,0 +1,226 @@
+//! Step 3: every edge and facet of the surface becomes an edge and a face of the mesh, without a point on the surface.
+//!
+//! # Method
+//! 1. Missing edges, then missing faces, are recovered by local reconnections, with efforts that grow.
+//! 2. What resists is split by Steiner points (`steiner_points`), and its parts are recovered.
+//! 3. The Steiner points are taken off the surface again (`partition_elimination`), into the volume where need be.
+//! 4. Those in the volume are removed as far as possible (`steiner_removal`).
+//!
+//! # Source
+//! [Drakopoulos2017] 4.6, [GeorgeHechtSaltel1991], [GeorgeBorouchaki2003].
+//!
+//! # Differences
+//! Beside n-m flips, small polyhedra are filled by search (`cavity_filling`), which needs no sequence of valid flips
+//! between the old and the new state. Internal surfaces and non-manifold edges are treated like any other.
+//!
+//! # Invariants
+//! The mesh is valid after every step: exact predicates decide, and each change covers what it replaces.
+//!
+//! # Cost
+//! Edges and faces that the Delaunay mesh has cost one look-up. One thread; deterministic.
+
+pub mod cavity_filling;
+pub mod constrained_mesh;
+pub mod crossings;
+pub mod edge_recovery;
+pub mod edge_removal;
+pub mod face_recovery;
+pub mod partition_elimination;
+pub mod steiner_points;
+pub mod steiner_removal;
+
+use std::time::Instant;
+
+use glam::DVec3;
+
+use self::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey};
+use crate::conforming::options::{Options, RecoveryMode};
+use crate::conforming::report::RecoveryReport;
+use crate::context::RunContext;
+use crate::error::{Error, Finding, FindingCode, Result, Severity};
+use crate::index::VertexId;
+use crate::mesh::tet_complex::TetComplex;
+
+/// How hard one pass tries.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Effort {
+    /// Levels of recursion of edge removal.
+    pub depth: usize,
+    /// Most tets around an edge that is removed.
+    pub ring: usize,
+    /// Edge removals tried within one recursion.
+    pub tries: usize,
+    /// Most tets of a cavity that is filled.
+    pub tets: usize,
+    /// Tets placed in one search for a filling.
+    pub steps: usize,
+    /// Whether cavities are enlarged.
+    pub grow: bool,
+}
+
+/// The efforts of the passes, growing; the options give where the last ones start.
+fn efforts(options: &Options) -> [Effort; 4] {
+    let (depth, ring) = (options.recursion_depth, options.edge_removal_limit);
+    [
+        Effort { depth: 0, ring, tries: 0, tets: 12, steps: 60, grow: false },
+        Effort { depth: 1, ring, tries: 20, tets: 20, steps: 200, grow: false },
+        Effort { depth: depth.min(3), ring, tries: 60, tets: 30, steps: 500, grow: true },
+        Effort { depth, ring: 2 * ring, tries: 300, tets: 48, steps: 2000, grow: true },
+    ]
+}
+
+/// Splits of one edge or face beyond which recovery gives up.
+const MOST_ROUNDS: usize = 60;
+
+/// Recovers the facets in the mesh of their points.
+///
+/// # Errors
+/// [`Error::NoResult`] naming what could not be recovered; `Cancelled`; `LimitReached`; those of tet creation.
+pub fn recover(
+    complex: TetComplex,
+    facets: &[[VertexId; 3]],
+    options: &Options,
+    context: &RunContext,
+    report: &mut RecoveryReport,
+) -> Result<ConstrainedMesh> {
+    let mut mesh = ConstrainedMesh::new(complex, facets);
+    let efforts = efforts(options);
+    let start = Instant::now();
+    let missing = mesh.missing_segments();
+    report.missing_edges = missing.len();
+    let steiner = mesh.complex.points().len();
+    recover_all_edges(&mut mesh, missing, &efforts, context)?;
+    report.steiner_on_surface[0] = mesh.complex.points().len() - steiner;
+    report.seconds[0] = start.elapsed().as_secs_f64();
+    context.progress("boundary recovery", 0.15);
+    let start = Instant::now();
+    let missing = mesh.missing_subfaces();
+    report.missing_faces = missing.len();
+    recover_all_faces(&mut mesh, missing, &efforts, context)?;
+    report.steiner_on_surface[1] = mesh.splits.len() - report.steiner_on_surface[0];
+    report.seconds[1] = start.elapsed().as_secs_f64();
+    Ok(mesh)
+}
+
+/// Takes Steiner points off the surface; returns those that are in the volume now.
+///
+/// # Errors
+/// As [`recover`].
+pub fn restore_surface(
+    mesh: &mut ConstrainedMesh,
+    options: &Options,
+    context: &RunContext,
+    report: &mut RecoveryReport,
+) -> Result<Vec<VertexId>> {
+    let start = Instant::now();
+    let mut volume = Vec::new();
+    if options.boundary_recovery == RecoveryMode::Full {
+        let left = partition_elimination::eliminate_partitions(mesh, &mut volume, context)?;
+        if left > 0 {
+            let places: Vec<DVec3> = mesh.splits.iter().map(|(v, _)| mesh.at(*v)).collect();
+            return Err(not_recovered(places, "a point added on the surface could not be taken off it"));
+        }
+    }
+    report.seconds[2] = start.elapsed().as_secs_f64();
+    Ok(volume)
+}
+
+/// Removes Steiner points in the volume; returns those that stay.
+///
+/// # Errors
+/// As [`recover`].
+pub fn remove_from_volume(
+    mesh: &mut ConstrainedMesh,
+    mut volume: Vec<VertexId>,
+    options: &Options,
+    context: &RunContext,
+    report: &mut RecoveryReport,
+) -> Result<Vec<VertexId>> {
+    let start = Instant::now();
+    for effort in &efforts(options)[1..] {
+        volume = steiner_removal::remove_steiner_points(mesh, volume, effort, context)?;
+    }
+    report.seconds[3] = start.elapsed().as_secs_f64();
+    report.steiner_in_volume = volume.len();
+    report.reconnections = mesh.reconnections;
+    report.cavities = mesh.cavities;
+    Ok(volume)
+}
+
+fn recover_all_edges(
+    mesh: &mut ConstrainedMesh,
+    mut missing: Vec<EdgeKey>,
+    efforts: &[Effort],
+    context: &RunContext,
+) -> Result<()> {
+    for _ in 0..MOST_ROUNDS {
+        for effort in efforts {
+            if missing.is_empty() {
+                return Ok(());
+            }
+            missing = edge_recovery::recover_edges(mesh, missing, effort, context)?;
+        }
+        let mut next = Vec::new();
+        for edge in missing {
+            context.check()?;
+            if !mesh.is_segment(edge[0], edge[1]) {
+                continue; // split together with a neighbour
+            }
+            match steiner_points::split_missing_segment(mesh, edge)? {
+                Some(new) => next.extend(new),
+                None => next.push(edge),
+            }
+        }
+        next.sort_unstable();
+        next.dedup();
+        next.retain(|e| mesh.is_segment(e[0], e[1]));
+        missing = next;
+    }
+    if missing.is_empty() {
+        return Ok(());
+    }
+    let places = missing.iter().map(|e| 0.5 * (mesh.at(e[0]) + mesh.at(e[1]))).collect();
+    Err(not_recovered(places, "an edge of the surface could not be recovered"))
+}
+
+fn recover_all_faces(
+    mesh: &mut ConstrainedMesh,
+    mut missing: Vec<FaceKey>,
+    efforts: &[Effort],
+    context: &RunContext,
+) -> Result<()> {
+    for _ in 0..MOST_ROUNDS {
+        for effort in efforts {
+            if missing.is_empty() {
+                break;
+            }
+            missing = face_recovery::recover_faces(mesh, missing, effort, context)?;
+        }
+        if missing.is_empty() {
+            // Reconnections keep what is recovered; this look is the proof.
+            missing = mesh.missing_subfaces();
+            if missing.is_empty() {
+                return Ok(());
+            }
+            continue;
+        }
+        let face = missing[0];
+        if let Some(new) = steiner_points::split_missing_face(mesh, face)? {
+            let absent = new.into_iter().filter(|e| !mesh.has_edge(e[0], e[1])).collect::<Vec<_>>();
+            recover_all_edges(mesh, absent, efforts, context)?;
+        }
+        missing = mesh.missing_subfaces();
+    }
+    if missing.is_empty() {
+        return Ok(());
+    }
+    let places = missing.iter().map(|f| f.iter().map(|&v| mesh.at(v)).sum::<DVec3>() / 3.0).collect();
+    Err(not_recovered(places, "a triangle of the surface could not be recovered"))
+}
+
+fn not_recovered(places: Vec<DVec3>, text: &str) -> Error {
+    let finding =
+        |p: &DVec3| Finding::new(FindingCode::NotRecovered, Severity::Error, format!("{text} at {p}")).at(p.to_array());
+    let findings: Vec<Finding> = places.iter().map(finding).collect();
+    Error::NoResult { message: format!("{text} ({} places)", findings.len()), findings }
+}

@@ -1,0 +1,226 @@
+//! Takes Steiner points off the surface: the parts of edges and facets become whole again.
+//!
+//! # Method
+//! The splits are undone in reverse order. The ball of a Steiner point s is cut by the subfaces at s into sectors:
+//! ```text
+//!         link                    link             two sectors, above and below the facets a b c and a b d; in each
+//!       /      \                /      \           the subfaces (c s a, c s b, ...) are replaced by the whole faces,
+//!     a----s----b    ->       a---------b          and the sector is filled on its own vertices, or else joined to a
+//!       \      /                \  s'  /           new point s' that sees its whole boundary, inside the volume.
+//!         link                    link
+//! ```
+//! Such a point exists close to s in every sector of less than a full turn: s sees the link strictly, and the half
+//! spaces of the whole faces share directions.
+//!
+//! # Source
+//! [Drakopoulos2017] 4.6.2, [GeorgeBorouchaki2003]; filling a sector without a point first: ours.
+//!
+//! # Limits
+//! The free border of a sheet has a full turn around it: a Steiner point there goes only where the ball can be filled.
+
+use glam::DVec3;
+use rustc_hash::{FxHashMap, FxHashSet};
+
+use super::cavity_filling::fill_cavity;
+use super::constrained_mesh::{ConstrainedMesh, FaceKey, Split, face_key};
+use crate::context::RunContext;
+use crate::error::Result;
+use crate::geometry::predicates::orient3d;
+use crate::index::{TetFace, TetId, VertexId};
+use crate::mesh::numbering::TET_FACES;
+use crate::mesh::tet_store::TetStore;
+
+/// Steps of the search for a filling of a sector.
+const FILL_STEPS: usize = 1500;
+
+/// Undoes every split that can be undone; new points in the volume are appended to `volume`. Returns the number left.
+///
+/// # Errors
+/// `Cancelled`, `LimitReached`, and those of tet creation.
+pub fn eliminate_partitions(
+    mesh: &mut ConstrainedMesh,
+    volume: &mut Vec<VertexId>,
+    context: &RunContext,
+) -> Result<usize> {
+    loop {
+        let before = mesh.splits.len();
+        let mut kept = Vec::new();
+        while let Some((steiner, split)) = mesh.splits.pop() {
+            context.check()?;
+            if !undo(mesh, steiner, &split, volume)? {
+                kept.push((steiner, split));
+            }
+        }
+        kept.reverse();
+        mesh.splits = kept;
+        if mesh.splits.is_empty() || mesh.splits.len() == before {
+            return Ok(mesh.splits.len());
+        }
+    }
+}
+
+/// The subfaces a split made, each with the whole face it is part of and the facet.
+fn parts_of(steiner: VertexId, split: &Split) -> Vec<(FaceKey, [VertexId; 3], u32)> {
+    match split {
+        Split::Edge([a, b], thirds) => thirds
+            .iter()
+            .flat_map(|&(c, facet)| [*a, *b].map(|end| (face_key([end, steiner, c]), [*a, *b, c], facet)))
+            .collect(),
+        Split::Face(face, facet) => {
+            let [a, b, c] = *face;
+            [[a, b], [b, c], [a, c]].map(|[u, v]| (face_key([u, v, steiner]), *face, *facet)).to_vec()
+        }
+    }
+}
+
+fn undo(mesh: &mut ConstrainedMesh, steiner: VertexId, split: &Split, volume: &mut Vec<VertexId>) -> Result<bool> {
+    let parts = parts_of(steiner, split);
+    let whole: FxHashMap<FaceKey, [VertexId; 3]> = parts.iter().map(|&(key, face, _)| (key, face)).collect();
+    let ball = mesh.ball(steiner);
+    let count = mesh.complex.points().len();
+    let Some(sectors) = sectors_of(mesh, steiner, &ball, &whole) else { return Ok(false) };
+    let mut new: Vec<[VertexId; 4]> = Vec::new();
+    let mut added = Vec::new();
+    for sector in sectors {
+        if let Some(filled) = fill_cavity(&sector.front, &[], |v| mesh.at(v), FILL_STEPS) {
+            new.extend(filled);
+            continue;
+        }
+        let faces: Vec<[DVec3; 3]> = sector.front.iter().map(|f| f.map(|v| mesh.at(v))).collect();
+        let Some(place) = kernel_point(&faces, mesh.at(steiner), sector.inward) else {
+            mesh.complex.truncate_points(count);
+            return Ok(false);
+        };
+        let vertex = mesh.complex.push_point(place)?;
+        added.push(vertex);
+        new.extend(sector.front.iter().map(|&[a, b, c]| [a, b, c, vertex]));
+    }
+    if mesh.replace(&ball, &new)?.is_none() {
+        mesh.complex.truncate_points(count);
+        return Ok(false);
+    }
+    mesh.complex.set_tet_of(steiner, TetId::NONE);
+    volume.extend(added);
+    for (part, _, _) in &parts {
+        mesh.remove_subface(*part);
+    }
+    for (_, face, facet) in parts {
+        if !mesh.subfaces.contains_key(&face_key(face)) {
+            mesh.add_subface(face_key(face), facet);
+        }
+    }
+    Ok(true)
+}
+
+/// One part of a ball, bounded by link faces and whole faces.
+struct Sector {
+    front: Vec<[VertexId; 3]>,
+    /// Sum of the inward unit normals of the whole faces.
+    inward: DVec3,
+}
+
+/// The sectors of the ball of `steiner`; `None` where other subfaces than those of the split meet there.
+fn sectors_of(
+    mesh: &ConstrainedMesh,
+    steiner: VertexId,
+    ball: &[TetId],
+    whole: &FxHashMap<FaceKey, [VertexId; 3]>,
+) -> Option<Vec<Sector>> {
+    let mut seen: FxHashSet<TetId> = FxHashSet::default();
+    let mut sectors = Vec::new();
+    let mut parts_met: FxHashSet<FaceKey> = FxHashSet::default();
+    for &seed in ball {
+        if mesh.complex.is_ghost_tet(seed) {
+            return None;
+        }
+        if !seen.insert(seed) {
+            continue;
+        }
+        let mut front: Vec<[VertexId; 3]> = Vec::new();
+        let mut closing: Vec<[VertexId; 3]> = Vec::new();
+        let mut stack = vec![seed];
+        while let Some(tet) = stack.pop() {
+            let v = mesh.complex.vertices(tet);
+            for face in 0..4 {
+                let side = TetFace::new(tet, face);
+                let [a, b, c] = TET_FACES[face].map(|i| v[i]);
+                if v[face] == steiner {
+                    front.push([a, c, b]);
+                } else if mesh.is_subface(side) {
+                    let key = face_key([a, b, c]);
+                    let corners = whole.get(&key)?;
+                    parts_met.insert(key);
+                    // The corner of the whole face that this part lacks takes the place of the Steiner point.
+                    let missing = *corners.iter().find(|v| !key.contains(v))?;
+                    let face = [a, c, b].map(|v| if v == steiner { missing } else { v });
+                    if !closing.iter().any(|f| face_key(*f) == face_key(face)) {
+                        closing.push(face);
+                    }
+                } else {
+                    let other = mesh.complex.neighbor(side);
+                    if other != TetFace::NONE && seen.insert(other.tet()) {
+                        stack.push(other.tet());
+                    }
+                }
+            }
+        }
+        let normal = |f: &[VertexId; 3]| {
+            let [a, b, c] = f.map(|v| mesh.at(v));
+            (b - a).cross(c - a).normalize_or_zero()
+        };
+        let inward = closing.iter().map(normal).sum();
+        for face in closing {
+            match front.iter().position(|f| face_key(*f) == face_key(face)) {
+                Some(position) => drop(front.swap_remove(position)),
+                None => front.push(face),
+            }
+        }
+        sectors.push(Sector { front, inward });
+    }
+    (parts_met.len() == whole.len()).then_some(sectors)
+}
+
+/// A point that every face sees on its positive side, as far from all of them as a local search finds; near `start`.
+pub fn kernel_point(faces: &[[DVec3; 3]], start: DVec3, direction: DVec3) -> Option<DVec3> {
+    let planes: Vec<(DVec3, DVec3)> =
+        faces.iter().map(|&[a, b, c]| ((b - a).cross(c - a).normalize_or_zero(), a)).collect();
+    let depth = |x: DVec3| planes.iter().map(|(n, p)| n.dot(x - *p)).fold(f64::INFINITY, f64::min);
+    let sees = |x: DVec3| faces.iter().all(|&[a, b, c]| orient3d(a, b, c, x) > 0.0);
+    let size = faces.iter().flatten().map(|p| p.distance(start)).fold(0.0, f64::max);
+    let direction = direction.normalize_or_zero();
+    let middle = faces.iter().flatten().copied().sum::<DVec3>() / (3 * faces.len()) as f64;
+    let mut candidates = vec![start, middle];
+    for i in 0..50 {
+        let step = size * 0.5_f64.powi(i);
+        candidates.push(start + direction * step);
+        candidates.push(start + (middle - start) * 0.5_f64.powi(i));
+    }
+    let mut best = candidates
+        .into_iter()
+        .map(|x| (sees(x), depth(x), x))
+        .max_by(|l, r| l.0.cmp(&r.0).then(l.1.total_cmp(&r.1)))
+        .map(|(valid, value, x)| (valid, value, x))?;
+    // Climb the smallest distance: along the normals of the nearest planes, then along the axes.
+    let mut step = size * 0.25;
+    let mut rounds = 0;
+    while step > size * 1e-13 && rounds < 400 {
+        rounds += 1;
+        let near = planes.iter().map(|(n, p)| (n.dot(best.2 - *p), *n));
+        let mut order: Vec<(f64, DVec3)> = near.collect();
+        order.sort_by(|l, r| l.0.total_cmp(&r.0));
+        let pushes = (1..=4.min(order.len())).map(|k| order[..k].iter().map(|(_, n)| *n).sum::<DVec3>());
+        let mut moves: Vec<DVec3> = pushes.map(|d| d.normalize_or_zero()).collect();
+        moves.extend([DVec3::X, DVec3::Y, DVec3::Z].iter().flat_map(|&d| [d, -d]));
+        let better = moves
+            .into_iter()
+            .map(|d| best.2 + d * step)
+            .map(|x| (depth(x), x))
+            .filter(|(value, _)| *value > best.1)
+            .max_by(|l, r| l.0.total_cmp(&r.0));
+        match better {
+            Some((value, x)) if !best.0 || sees(x) => best = (best.0 || sees(x), value, x),
+            _ => step *= 0.5,
+        }
+    }
+    (best.0 || sees(best.2)).then_some(best.2)
+}

@@ -1,0 +1,235 @@
+//! Puts Steiner points: on what could not be recovered, by constrained insertion.
+//!
+//! # Method
+//! 1. A missing edge is split where it crosses a face of the mesh, nearest to its middle; a missing face where an edge
+//!    pierces it, farthest from its border. Rounding moves the point off the edge or face by less than any feature.
+//! 2. The point is located by a walk; the cavity grows from there over tets whose circumsphere contains the point, never
+//!    over a subface or around a segment, and is thinned until the point sees its whole boundary.
+//!
+//! # Source
+//! [Bowyer1981], [Watson1981] for the cavity; [GeorgeBorouchaki2003] for points on constraints.
+
+use glam::DVec3;
+use rustc_hash::FxHashSet;
+
+use super::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey};
+use super::crossings::{tets_across, tets_along};
+use crate::error::Result;
+use crate::geometry::predicates::{insphere, orient3d};
+use crate::index::{TetFace, TetId, VertexId};
+use crate::mesh::numbering::TET_FACES;
+use crate::mesh::tet_store::TetStore;
+
+/// Repairs of a cavity before the insertion is given up.
+const MOST_REPAIRS: usize = 200;
+
+/// Splits a missing segment; the new segments, or `None` where no point could be inserted.
+///
+/// # Errors
+/// Those of vertex and tet creation.
+pub fn split_missing_segment(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey) -> Result<Option<Vec<EdgeKey>>> {
+    let Some(tets) = tets_along(mesh, a, b) else { return Ok(Some(Vec::new())) };
+    let Some(&hint) = tets.first() else { return Ok(None) };
+    let (pa, pb) = (mesh.at(a), mesh.at(b));
+    let mut places: Vec<f64> = vec![0.5];
+    for &tet in &tets {
+        for face in 0..4 {
+            let side = TetFace::new(tet, face);
+            let v = mesh.complex.face_vertices(side);
+            if v.contains(&a) || v.contains(&b) || v.iter().any(|v| v.is_ghost()) {
+                continue;
+            }
+            let [x, y, z] = v.map(|v| mesh.at(v));
+            let (da, db) = (orient3d(x, y, z, pa), orient3d(x, y, z, pb));
+            let other = mesh.complex.neighbor(side);
+            let inner = other != TetFace::NONE && tets.contains(&other.tet());
+            if inner && (da > 0.0) != (db > 0.0) {
+                places.push(da / (da - db));
+            }
+        }
+    }
+    places.retain(|t| t.is_finite() && *t > 0.02 && *t < 0.98);
+    // The crossing nearest to the middle first, the middle itself last.
+    places[1..].sort_by(|l, r| (l - 0.5).abs().total_cmp(&(r - 0.5).abs()));
+    places.rotate_left(1);
+    for t in places.into_iter().take(6) {
+        if let Some(steiner) = insert_point(mesh, pa + (pb - pa) * t, hint_of(mesh, hint, a))? {
+            return Ok(Some(mesh.split_segment([a, b], steiner)));
+        }
+    }
+    Ok(None)
+}
+
+/// `hint` where it is alive, else a tet of the vertex.
+fn hint_of(mesh: &ConstrainedMesh, hint: TetId, vertex: VertexId) -> TetId {
+    if mesh.complex.is_live(hint) { hint } else { mesh.complex.tet_of(vertex) }
+}
+
+/// Splits a missing face whose edges are there; the new segments, or `None` where no point could be inserted.
+///
+/// # Errors
+/// Those of vertex and tet creation.
+pub fn split_missing_face(mesh: &mut ConstrainedMesh, face: FaceKey) -> Result<Option<Vec<EdgeKey>>> {
+    let Some(crossing) = tets_across(mesh, face) else { return Ok(Some(Vec::new())) };
+    let [a, b, c] = face.map(|v| mesh.at(v));
+    let normal = (b - a).cross(c - a);
+    let mut places: Vec<(f64, DVec3)> = Vec::new();
+    for &[u, v] in &crossing.edges {
+        let (pu, pv) = (mesh.at(u), mesh.at(v));
+        let (du, dv) = (orient3d(a, b, c, pu), orient3d(a, b, c, pv));
+        let place = pu + (pv - pu) * (du / (du - dv));
+        let share = |x: DVec3, y: DVec3| (y - x).cross(place - x).dot(normal) / normal.length_squared();
+        let depth = share(a, b).min(share(b, c)).min(share(c, a));
+        if place.is_finite() && depth > 1e-3 {
+            places.push((depth, place));
+        }
+    }
+    places.sort_by(|l, r| r.0.total_cmp(&l.0));
+    places.truncate(5);
+    places.push((0.0, (a + b + c) / 3.0));
+    for (_, place) in places {
+        let hint = mesh.complex.tet_of(face[0]);
+        if let Some(steiner) = insert_point(mesh, place, hint)? {
+            return Ok(Some(mesh.split_subface(face, steiner)));
+        }
+    }
+    Ok(None)
+}
+
+/// The finite tet whose closure contains the point; `None` outside.
+pub fn locate(mesh: &ConstrainedMesh, point: DVec3, start: TetId) -> Option<TetId> {
+    let mut tet = start;
+    let mut seed = 12_345_u32;
+    let mut came_from = TetFace::NONE;
+    for _ in 0..1_000_000 {
+        let v = mesh.complex.vertices(tet);
+        seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        let first = (seed >> 16) as usize;
+        let mut exit = None;
+        for i in 0..4 {
+            let face = (first + i) % 4;
+            let side = TetFace::new(tet, face);
+            if mesh.complex.neighbor(side) == came_from && came_from != TetFace::NONE {
+                continue;
+            }
+            let corners = TET_FACES[face].map(|i| v[i]);
+            if corners.iter().any(|c| c.is_ghost()) {
+                continue;
+            }
+            let [a, b, c] = corners.map(|c| mesh.at(c));
+            if orient3d(a, b, c, point) > 0.0 {
+                exit = Some(side);
+                break;
+            }
+        }
+        let Some(side) = exit else { return (!mesh.complex.is_ghost_tet(tet)).then_some(tet) };
+        let other = mesh.complex.neighbor(side);
+        if other == TetFace::NONE {
+            return None;
+        }
+        came_from = side;
+        tet = other.tet();
+    }
+    None
+}
+
+/// Inserts a point; its vertex, or `None` where no valid cavity was found (nothing has changed then).
+///
+/// # Errors
+/// Those of vertex and tet creation.
+pub fn insert_point(mesh: &mut ConstrainedMesh, point: DVec3, hint: TetId) -> Result<Option<VertexId>> {
+    let Some(host) = locate(mesh, point, hint) else { return Ok(None) };
+    if mesh.complex.points_of(host).contains(&point) {
+        return Ok(None);
+    }
+    let Some(cavity) = star_cavity(mesh, point, host) else { return Ok(None) };
+    let count = mesh.complex.points().len();
+    let vertex = mesh.complex.push_point(point)?;
+    let new: Vec<[VertexId; 4]> = mesh.shape_of(&cavity).front.iter().map(|&[a, b, c]| [a, b, c, vertex]).collect();
+    if mesh.replace(&cavity, &new)?.is_none() {
+        mesh.complex.truncate_points(count);
+        return Ok(None);
+    }
+    Ok(Some(vertex))
+}
+
+/// A set of tets around the point that it sees from inside, and that swallows no constraint.
+fn star_cavity(mesh: &ConstrainedMesh, point: DVec3, host: TetId) -> Option<Vec<TetId>> {
+    let mut banned: FxHashSet<TetId> = FxHashSet::default();
+    let mut forced: Vec<TetId> = vec![host];
+    for _ in 0..MOST_REPAIRS {
+        let cavity = conflict_region(mesh, point, &forced, &banned);
+        match first_fault(mesh, point, &cavity) {
+            None => return Some(cavity),
+            Some((tet, beyond)) => {
+                // A tet that contains the point has to stay: its neighbour joins instead.
+                if !forced.contains(&tet) {
+                    banned.insert(tet);
+                } else if let Some(beyond) = beyond {
+                    if forced.len() > 60 {
+                        return None;
+                    }
+                    banned.remove(&beyond);
+                    forced.push(beyond);
+                } else {
+                    return None;
+                }
+            }
+        }
+    }
+    None
+}
+
+/// Tets reachable from `forced` whose circumsphere contains the point.
+fn conflict_region(mesh: &ConstrainedMesh, point: DVec3, forced: &[TetId], banned: &FxHashSet<TetId>) -> Vec<TetId> {
+    let mut cavity = forced.to_vec();
+    let mut seen: FxHashSet<TetId> = forced.iter().copied().collect();
+    let mut next = 0;
+    while next < cavity.len() {
+        let tet = cavity[next];
+        next += 1;
+        for face in 0..4 {
+            let side = TetFace::new(tet, face);
+            let other = mesh.complex.neighbor(side);
+            if other == TetFace::NONE || seen.contains(&other.tet()) || banned.contains(&other.tet()) {
+                continue;
+            }
+            let beyond = other.tet();
+            if mesh.complex.is_ghost_tet(beyond) || mesh.is_subface(side) {
+                continue;
+            }
+            let [a, b, c, d] = mesh.complex.points_of(beyond);
+            seen.insert(beyond);
+            if insphere(a, b, c, d, point) > 0.0 {
+                cavity.push(beyond);
+            }
+        }
+    }
+    cavity
+}
+
+/// A tet with a boundary face that the point does not see from inside, or that swallows a segment; and what could join.
+fn first_fault(mesh: &ConstrainedMesh, point: DVec3, cavity: &[TetId]) -> Option<(TetId, Option<TetId>)> {
+    let inside: FxHashSet<TetId> = cavity.iter().copied().collect();
+    for &tet in cavity {
+        let v = mesh.complex.vertices(tet);
+        for face in 0..4 {
+            let side = TetFace::new(tet, face);
+            let other = mesh.complex.neighbor(side);
+            if other != TetFace::NONE && inside.contains(&other.tet()) {
+                continue;
+            }
+            let [a, b, c] = TET_FACES[face].map(|i| mesh.at(v[i]));
+            if orient3d(a, b, c, point) >= 0.0 {
+                let open = other != TetFace::NONE && !mesh.is_subface(side) && !mesh.complex.is_ghost_tet(other.tet());
+                return Some((tet, open.then(|| other.tet())));
+            }
+        }
+    }
+    let shape = mesh.shape_of(cavity);
+    let has = |tet: TetId, e: &EdgeKey| e.iter().all(|&v| mesh.complex.local_vertex(tet, v).is_some());
+    let edge = shape.segments.first()?;
+    // The last tet that has the segment: the first ones contain the point.
+    let tet = cavity.iter().rev().copied().find(|&tet| has(tet, edge))?;
+    Some((tet, None))
+}
