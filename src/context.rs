@@ -197,6 +197,11 @@ impl RunContext {
         self.pool.threads()
     }
 
+    /// The workers, for a run within this run.
+    pub fn pool(&self) -> WorkerPool {
+        self.pool.clone()
+    }
+
     /// The token that cancels this run.
     pub fn cancel_token(&self) -> CancelToken {
         self.shared.cancel.clone()

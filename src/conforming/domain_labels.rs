@@ -111,9 +111,7 @@ fn seed_outside(kind: &str, number: usize, point: DVec3) -> Finding {
 fn flood(mesh: &ConstrainedMesh) -> (Vec<u32>, usize) {
     let complex = &mesh.complex;
     let mut component_of = vec![u32::MAX; complex.slot_count()];
-    let is_outer = |tet: TetId| {
-        complex.is_ghost_tet(tet) || complex.neighbors(tet).contains(&TetFace::NONE)
-    };
+    let is_outer = |tet: TetId| complex.is_ghost_tet(tet) || complex.neighbors(tet).contains(&TetFace::NONE);
     let mut count = 0_u32;
     let mut stack: Vec<TetId> = complex.live_tets().filter(|&t| is_outer(t)).collect();
     stack.iter().for_each(|t| component_of[t.index()] = 0);

@@ -14,6 +14,7 @@
 //! The surface's points are the first points of the mesh, bit for bit, in their order (equal points merged, unused
 //! ones left out); every facet is a face of the mesh; no other point lies on the surface.
 
+pub mod assembly;
 pub mod boundary_recovery;
 mod cavity;
 pub mod delaunay_kernel;
@@ -41,3 +42,112 @@ pub mod vertex_insertion;
 
 #[cfg(test)]
 pub(crate) mod test_surfaces;
+#[cfg(test)]
+mod tests;
+
+use std::time::Instant;
+
+use crate::conforming::assembly::{Carved, carve, finish};
+use crate::conforming::boundary_recovery::{recover, remove_from_volume, restore_surface};
+use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, tetrahedralize};
+use crate::conforming::domain_labels::{Region, label_domain};
+use crate::conforming::input_check::CheckedSurface;
+use crate::conforming::options::{Options, RecoveryMode};
+use crate::conforming::report::Report;
+use crate::context::RunContext;
+use crate::error::{Finding, FindingCode, Result, Severity};
+use crate::index::{Label, VertexId};
+use crate::mesh::mixed_mesh::MixedMesh;
+use crate::mesh::sizing::Sizing;
+use crate::mesh::surface_mesh::SurfaceMesh;
+use crate::mesh::tet_store::TetStore;
+
+/// Meshes the regions that a surface bounds.
+///
+/// # Errors
+/// `InvalidInput` with every finding about the surface; `NoResult` naming what could not be recovered; `Cancelled`;
+/// `LimitReached`; `CapacityExceeded`; `OutOfMemory`.
+pub fn run(
+    surface: &SurfaceMesh,
+    sizing: Option<&Sizing>,
+    options: &Options,
+    context: &RunContext,
+) -> Result<(MixedMesh, Report)> {
+    let start = Instant::now();
+    if let Some(sizing) = sizing {
+        sizing.check()?;
+    }
+    let mut report = Report::default();
+    context.progress("input check", 0.0);
+    let checked = input_check::check(surface, options, context)?.into_valid()?;
+    checked.findings.iter().cloned().for_each(|finding| context.report(finding));
+    report.check = checked.report;
+    context.progress("delaunay", 0.03);
+    let mesh = match options.boundary_recovery {
+        RecoveryMode::Off => hull_mesh(&checked, options, context, &mut report)?,
+        _ => domain_mesh(surface, &checked, options, context, &mut report)?,
+    };
+    report.total_seconds = start.elapsed().as_secs_f64();
+    Ok((mesh, report))
+}
+
+fn delaunay_options(options: &Options) -> DelaunayOptions {
+    let order = match options.sort_points {
+        0 => PointOrder::Input,
+        1 => PointOrder::Random,
+        _ => PointOrder::Spatial,
+    };
+    DelaunayOptions { order, seed: 0 }
+}
+
+/// The Delaunay mesh of the points, as it is: one region 1, no boundary.
+fn hull_mesh(
+    checked: &CheckedSurface,
+    options: &Options,
+    context: &RunContext,
+    report: &mut Report,
+) -> Result<MixedMesh> {
+    let clock = Instant::now();
+    let mut delaunay = tetrahedralize(&checked.points, &delaunay_options(options), context)?;
+    report.delaunay_seconds = clock.elapsed().as_secs_f64();
+    let tets: Vec<_> = delaunay.complex.finite_tets().collect();
+    report.delaunay_tets = tets.len();
+    tets.into_iter().for_each(|tet| delaunay.complex.set_label(tet, Label(1)));
+    delaunay.complex.to_mixed_mesh(&[0, 1])
+}
+
+/// The mesh of the regions, with the surface in it.
+fn domain_mesh(
+    surface: &SurfaceMesh,
+    checked: &CheckedSurface,
+    options: &Options,
+    context: &RunContext,
+    report: &mut Report,
+) -> Result<MixedMesh> {
+    let clock = Instant::now();
+    let mut points = checked.points.clone();
+    points.extend(enclosure::enclosing_corners(&checked.points));
+    let delaunay = tetrahedralize(&points, &delaunay_options(options), context)?;
+    report.delaunay_seconds = clock.elapsed().as_secs_f64();
+    report.delaunay_tets = delaunay.complex.finite_tets().count();
+    context.progress("boundary recovery", 0.1);
+    let recovery = &mut report.recovery;
+    let mut mesh = recover(delaunay.complex, &checked.facets, options, context, recovery)?;
+    let volume = restore_surface(&mut mesh, options, context, recovery)?;
+    let hidden = label_domain(&mesh, surface, &checked.facet_patches, options.domain, context)?;
+    let inside = |v: &VertexId| mesh.ball(*v).iter().any(|tet| !hidden.region_of[tet.index()].is_background());
+    let volume: Vec<VertexId> = volume.into_iter().filter(inside).collect();
+    let kept = remove_from_volume(&mut mesh, volume, options, context, recovery)?;
+    // Labels anew: the slots have changed. The findings about regions were reported above.
+    let quiet = RunContext::new(context.pool(), context.cancel_token());
+    let domain = label_domain(&mesh, surface, &checked.facet_patches, options.domain, &quiet)?;
+    report.regions = domain.regions.len();
+    for vertex in kept {
+        let text = format!("a point was added in the volume at {}", mesh.at(vertex));
+        let finding = Finding::new(FindingCode::SteinerPoint, Severity::Note, text);
+        context.report(finding.with_ids(i64::from(vertex.0), -1).at(mesh.at(vertex).to_array()));
+    }
+    let Carved { complex, subfaces, .. } = carve(&mesh, &domain, checked.points.len())?;
+    let regions: &[Region] = &domain.regions;
+    finish(&complex, regions, &subfaces, &checked.facets, &checked.facet_patches)
+}

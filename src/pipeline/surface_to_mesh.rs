@@ -4,11 +4,12 @@
 //! Reads the options, adds the roles, seeds and holes they give to a copy of the surface, and calls
 //! `conforming::run`. [`check`] runs the input check alone and returns every finding.
 
+use crate::conforming;
 use crate::conforming::fault_picture;
 use crate::conforming::input_check;
 use crate::conforming::options::Options;
 use crate::context::RunContext;
-use crate::error::{Error, Finding, Result, Severity};
+use crate::error::{Finding, Result, Severity};
 use crate::mesh::sizing::Sizing;
 use crate::mesh::surface_mesh::{PatchRole, SurfaceMesh};
 use crate::parameters::{ParameterSet, Table};
@@ -51,19 +52,19 @@ impl CheckOutput {
 /// Meshes the regions that the surface bounds.
 ///
 /// # Errors
-/// [`Error::InvalidInput`] with every finding for a surface that cannot be meshed; [`Error::ParameterValue`];
-/// [`Error::NoResult`] naming edges and facets; [`Error::Cancelled`]; [`Error::LimitReached`].
+/// [`crate::error::Error::InvalidInput`] with every finding for a surface that cannot be meshed; [`crate::error::Error::ParameterValue`];
+/// [`crate::error::Error::NoResult`] naming edges and facets; [`crate::error::Error::Cancelled`]; [`crate::error::Error::LimitReached`].
 pub fn run(input: &Input, parameters: &ParameterSet, context: &RunContext) -> Result<Output> {
     let options = Options::from_parameters(parameters)?;
-    let _surface = with_options(input.surface, &options)?;
-    let _ = context;
-    Err(Error::Unsupported { reason: "this build has no conforming engine".into() })
+    let surface = with_options(input.surface, &options)?;
+    let (mesh, report) = conforming::run(&surface, input.sizing, &options, context)?;
+    Ok(Output { mesh: Some(mesh), statistics: report.statistics(), ..Output::default() })
 }
 
 /// Checks a surface and says everything that is wrong with it; an invalid surface is no error here.
 ///
 /// # Errors
-/// [`Error::ParameterValue`]; [`Error::Cancelled`]; [`Error::LimitReached`].
+/// [`crate::error::Error::ParameterValue`]; [`crate::error::Error::Cancelled`]; [`crate::error::Error::LimitReached`].
 pub fn check(surface: &SurfaceMesh, parameters: &ParameterSet, context: &RunContext) -> Result<CheckOutput> {
     let options = Options::from_parameters(parameters)?;
     let surface = with_options(surface, &options)?;

@@ -1,0 +1,127 @@
+//! Whole runs of the engine without refinement, on shapes made here.
+
+use glam::DVec3;
+
+use super::test_surfaces::{cube, joined, mapped, sphere, surface_of, translated};
+use super::*;
+use crate::geometry::predicates::orient3d;
+use crate::mesh::validation::check_mixed_mesh;
+
+fn options() -> Options {
+    Options { refine: false, ..Options::default() }
+}
+
+fn volume(mesh: &MixedMesh) -> f64 {
+    let tets = mesh.tets().unwrap();
+    tets.iter().map(|t| t.map(|v| mesh.points[v.index()])).map(|[a, b, c, d]| orient3d(a, b, c, d) / 6.0).sum()
+}
+
+/// Runs without refinement and checks validity, points, and that exactly the facets are the boundary.
+fn meshed(surface: &SurfaceMesh, options: &Options) -> (MixedMesh, Report) {
+    let context = RunContext::with_threads(1).unwrap();
+    let (mesh, report) = run(surface, None, options, &context).unwrap();
+    check_mixed_mesh(&mesh).unwrap();
+    assert_eq!(mesh.points[..surface.points.len()], surface.points[..]);
+    assert_eq!(mesh.boundary.triangles.len(), surface.facets.len());
+    (mesh, report)
+}
+
+#[test]
+fn a_cube_keeps_its_triangles() {
+    let (mesh, report) = meshed(&cube(4), &options());
+    assert!((volume(&mesh) - 1.0).abs() < 1e-12);
+    assert!(report.recovery.steiner_in_volume < 4);
+}
+
+#[test]
+fn a_sphere_is_meshed_at_any_scale_and_offset() {
+    for (scale, offset) in [(1.0, 0.0), (1e-6, 0.0), (1e6, 0.0), (1.0, 1e6)] {
+        let surface = mapped(&sphere(3), |p| p * scale + DVec3::splat(offset));
+        let (_, report) = meshed(&surface, &options());
+        assert_eq!(report.recovery.steiner_in_volume, 0, "{scale} {offset}");
+    }
+}
+
+/// Schoenhardt's polyhedron: a prism over a triangle, its top turned, with the diagonals that bend inwards.
+fn schoenhardt(turn: f64) -> SurfaceMesh {
+    let ring = |z: f64, turn: f64| {
+        (0..3).map(move |i| {
+            let angle = (f64::from(i) * 120.0 + turn).to_radians();
+            [angle.cos(), angle.sin(), z]
+        })
+    };
+    let points: Vec<[f64; 3]> = ring(0.0, 0.0).chain(ring(1.0, turn)).collect();
+    let mut facets = vec![[0, 2, 1], [3, 4, 5]];
+    for i in 0..3 {
+        let j = (i + 1) % 3;
+        facets.extend([[i, j, 3 + j], [i, 3 + j, 3 + i]]);
+    }
+    surface_of(&points, &facets)
+}
+
+#[test]
+fn schoenhardts_polyhedron_needs_one_point() {
+    for turn in [-30.0, 30.0] {
+        let (_, report) = meshed(&schoenhardt(turn), &options());
+        assert!(report.recovery.steiner_in_volume <= 1);
+    }
+}
+
+#[test]
+fn thin_plates_and_needles_are_meshed() {
+    let plate = mapped(&cube(3), |p| p * DVec3::new(1.0, 1.0, 0.1));
+    let other = mapped(&cube(4), |p| p * DVec3::new(1.0, 1.0, 0.1));
+    let plates = joined(&[plate, translated(&other, DVec3::new(0.03, 0.02, 0.1 + 1e-6))]);
+    let (mesh, _) = meshed(&plates, &options());
+    assert!((volume(&mesh) - 0.2).abs() < 1e-9);
+    let needles = mapped(&cube(6), |p| p * DVec3::new(1.0, 1e-3, 1e-3));
+    meshed(&needles, &options());
+}
+
+#[test]
+fn regions_holes_and_nesting_follow_the_rules() {
+    let inner = mapped(&cube(1), |p| p * 0.5 + DVec3::splat(0.25));
+    let nested = joined(&[cube(2), inner]);
+    let (mesh, report) = meshed(&nested, &options());
+    assert_eq!((report.regions, mesh.labels.iter().max()), (2, Some(&2)));
+    assert!((volume(&mesh) - 1.0).abs() < 1e-12);
+    let nesting = Options { domain: options::DomainRule::Nesting, ..options() };
+    let (mesh, _) = meshed(&nested, &nesting);
+    assert!((volume(&mesh) - 0.875).abs() < 1e-12);
+    let mut hollow = nested.clone();
+    hollow.holes.push(DVec3::splat(0.5));
+    let (mesh, _) = meshed(&hollow, &options());
+    assert!((volume(&mesh) - 0.875).abs() < 1e-12);
+    let mut labelled = nested;
+    let seed = crate::mesh::surface_mesh::RegionSeed { point: DVec3::splat(0.5), label: 1, size: None };
+    labelled.regions.push(seed);
+    let (mesh, _) = meshed(&labelled, &options());
+    let inner_volume: f64 = mesh
+        .tets()
+        .unwrap()
+        .iter()
+        .zip(&mesh.labels)
+        .filter(|(_, label)| **label == 1)
+        .map(|(t, _)| t.map(|v| mesh.points[v.index()]))
+        .map(|[a, b, c, d]| orient3d(a, b, c, d) / 6.0)
+        .sum();
+    assert!((inner_volume - 0.125).abs() < 1e-12);
+}
+
+#[test]
+fn a_sheet_inside_is_kept() {
+    let sheet =
+        surface_of(&[[0.2, 0.2, 0.4], [0.7, 0.25, 0.45], [0.75, 0.7, 0.5], [0.3, 0.8, 0.55]], &[[0, 1, 2], [0, 2, 3]]);
+    let (mesh, _) = meshed(&joined(&[cube(3), sheet]), &options());
+    assert!((volume(&mesh) - 1.0).abs() < 1e-12);
+    assert_eq!(mesh.boundary.labels.iter().filter(|l| **l == [1, 1]).count(), 2);
+}
+
+#[test]
+fn an_open_surface_is_refused() {
+    let mut surface = cube(2);
+    surface.facets.pop();
+    let result = run(&surface, None, &options(), &RunContext::with_threads(1).unwrap());
+    let Err(crate::error::Error::InvalidInput { findings, .. }) = result else { panic!() };
+    assert_eq!(findings.len(), 3);
+}
