@@ -22,6 +22,9 @@ pub mod candidate_mesh;
 pub mod element_labels;
 pub mod face_adjacency;
 pub mod finishing;
+pub mod improvement_mesh;
+pub mod lattice_improvement;
+pub mod local_transformations;
 pub mod options;
 pub mod red_green;
 pub mod red_green_tables;
@@ -31,6 +34,7 @@ pub mod subdivision_criteria;
 pub mod subvoxel_surface;
 pub mod surface_deformation;
 pub mod untangling;
+pub mod vertex_optimization;
 pub mod voxel_fidelity;
 
 use std::time::Duration;

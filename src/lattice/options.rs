@@ -126,7 +126,7 @@ pub const PARAMETERS: Table = &[
         "How often the confidence is scaled before an iteration is taken back."),
     row("laplacian-iterations", "numberLaplacianSmoothingIterations", COUNT, Default::Integer(0), "", "Smoothing",
         "Iterations of quality-guarded Laplacian smoothing of the vertices."),
-    row("local-transformations", "localTransformations", Kind::Flag, Default::Flag(false), "", "Smoothing",
+    row("local-transformations", "localTransformations", Kind::Flag, Default::Flag(true), "", "Smoothing",
         "Improves elements by local transformations after smoothing."),
     // --- evaluation
     row("evaluate-quality", "evaluateMeshQuality", Kind::Flag, Default::Flag(false), "", "Evaluation",

@@ -4,19 +4,29 @@
 //! 1. Source and target points ([`boundary_targets`](crate::lattice::boundary_targets)).
 //! 2. Elastic deformation to the sub-voxel surfaces
 //!    ([`surface_deformation`](crate::lattice::surface_deformation)).
+//! 3. Relaxation, volumes, optimisation, local transformations
+//!    ([`lattice_improvement`](crate::lattice::lattice_improvement)).
 //!
 //! # Source
 //! [Drakopoulos2017] 2.3.5.
+//!
+//! # Differences
+//! The thesis gives up when an element stays bad, and ends with angles of 5 degrees; here moves are damped locally and the
+//! improvement follows.
+//!
+//! # Limits
+//! Elements are tets: hexahedra and pyramids are merged afterwards from tets that smoothing left whole.
 
 use glam::DVec3;
 
 use crate::context::RunContext;
-use crate::error::Result;
+use crate::error::{Finding, FindingCode, Result, Severity};
 use crate::image::label_image::LabelImage;
 use crate::index::VertexId;
 use crate::lattice::boundary_targets::{SourcePoints, TargetPoints};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::face_adjacency::neighbors_of;
+use crate::lattice::lattice_improvement::{ImprovementOptions, Transformations, improve};
 use crate::lattice::options::Options;
 use crate::lattice::report::Report;
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
@@ -66,5 +76,23 @@ pub fn smooth(
     report.set("smoothing.scaled_tries", summary.scaled_tries as f64);
     report.set("smoothing.damped_moves", summary.guarded.damped as f64);
     report.set("smoothing.undone_moves", summary.guarded.undone as f64);
+    let improvement = ImprovementOptions {
+        transformations: if options.local_transformations { Transformations::Local } else { Transformations::None },
+        laplacian_iterations: options.laplacian_iterations,
+        min_dihedral_angle: options.min_dihedral_angle,
+    };
+    let result = report.timed("improvement", || improve(mesh, image, &sources, &improvement, context))?;
+    report.set("improvement.low_before", result.low_before as f64);
+    report.set("improvement.low_after", result.low_after as f64);
+    report.set("improvement.lowest_score", result.lowest);
+    report.set("improvement.edge_removals", result.counts.edge_removals as f64);
+    report.set("improvement.face_exchanges", result.counts.face_exchanges as f64);
+    report.set("improvement.contractions", result.counts.contractions as f64);
+    report.set("improvement.splits", result.counts.splits as f64);
+    report.set("improvement.turned_edges", result.counts.turned_edges as f64);
+    if sources.vertices.iter().zip(&points.sources).all(|(v, p)| mesh.points.get(v.index()) == Some(p)) {
+        let text = "smoothing could not move any surface vertex";
+        context.report(Finding::new(FindingCode::SmoothingStopped, Severity::Warning, text));
+    }
     Ok(points)
 }

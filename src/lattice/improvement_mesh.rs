@@ -1,0 +1,348 @@
+//! Tets that can be replaced one group at a time, with the tets of each vertex and what each surface vertex separates.
+//!
+//! # Method
+//! Rows of tets with a list of tets per vertex; neighbours are found through these lists. A group of tets is replaced by
+//! another group that fills the same space; slots of removed tets are reused in order.
+//!
+//! # Invariants
+//! Every live tet is in the lists of its four vertices and in no other. Side sets are sorted and stored once.
+//!
+//! # Cost
+//! About 24 bytes per vertex and 20 per tet beside the mesh.
+
+use glam::DVec3;
+
+use crate::index::{Label, VertexId};
+use crate::lattice::boundary_targets::{SourcePoints, outside_of};
+use crate::lattice::candidate_mesh::CandidateMesh;
+use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
+use crate::lattice::untangling::tet_score;
+use crate::mesh::numbering::TET_FACES;
+
+/// A dead slot.
+const DEAD: [u32; 4] = [u32::MAX; 4];
+
+/// A mesh under local improvement.
+pub struct ImprovementMesh<'a> {
+    /// Local frame, mm.
+    pub points: Vec<DVec3>,
+    /// Rows of vertices; dead slots hold `u32::MAX`.
+    pub tets: Vec<[u32; 4]>,
+    /// Label per tet.
+    pub labels: Vec<Label>,
+    /// The image's surfaces.
+    pub surface: SubvoxelSurface<'a>,
+    /// Vertices that must stay.
+    pub fixed: Vec<bool>,
+    balls: Vec<Vec<u32>>,
+    side_set: Vec<u32>,
+    sets: Vec<Vec<Side>>,
+    free: Vec<u32>,
+}
+
+/// A face of the ball of a vertex that separates two sides: the other two vertices.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SurfaceFace {
+    /// The other vertices, in the order that makes the face outward from `inner`.
+    pub others: [u32; 2],
+    /// The tet on the inner side.
+    pub inner: u32,
+    /// The tet on the outer side, where there is one.
+    pub outer: Option<u32>,
+}
+
+impl<'a> ImprovementMesh<'a> {
+    /// Takes over the tets of a mesh.
+    pub fn new(mesh: &mut CandidateMesh, sources: &SourcePoints, surface: SubvoxelSurface<'a>) -> Self {
+        let points = std::mem::take(&mut mesh.points);
+        let tets: Vec<[u32; 4]> = mesh.tets.iter().map(|t| t.map(|v| v.0)).collect();
+        let labels = std::mem::take(&mut mesh.tet_labels);
+        mesh.tets = Vec::new();
+        let mut counts = vec![0u32; points.len()];
+        tets.as_flattened().iter().for_each(|v| counts[*v as usize] += 1);
+        let mut balls: Vec<Vec<u32>> = counts.iter().map(|c| Vec::with_capacity(*c as usize)).collect();
+        for (t, tet) in tets.iter().enumerate() {
+            tet.iter().for_each(|v| balls[*v as usize].push(t as u32));
+        }
+        let mut fixed = vec![false; points.len()];
+        mesh.fixed.iter().for_each(|v| fixed[v.index()] = true);
+        let mut result = Self {
+            side_set: vec![0; points.len()],
+            points,
+            tets,
+            labels,
+            surface,
+            fixed,
+            balls,
+            sets: vec![Vec::new()],
+            free: Vec::new(),
+        };
+        for (at, v) in sources.vertices.iter().enumerate() {
+            result.side_set[v.index()] = result.intern(sources.sides(at).to_vec());
+        }
+        result
+    }
+
+    /// Gives the tets back, without dead slots and unused vertices.
+    pub fn finish(self, mesh: &mut CandidateMesh) {
+        let mut renumbered = vec![u32::MAX; self.points.len()];
+        for (v, ball) in self.balls.iter().enumerate() {
+            if !ball.is_empty() {
+                renumbered[v] = mesh.points.len() as u32;
+                mesh.points.push(self.points[v]);
+            }
+        }
+        for (tet, label) in self.tets.iter().zip(&self.labels) {
+            if *tet != DEAD {
+                mesh.tets.push(tet.map(|v| VertexId(renumbered[v as usize])));
+                mesh.tet_labels.push(*label);
+            }
+        }
+        mesh.fixed.iter_mut().for_each(|v| *v = VertexId(renumbered[v.index()]));
+    }
+
+    fn intern(&mut self, set: Vec<Side>) -> u32 {
+        let found = self.sets.iter().position(|s| *s == set);
+        found.unwrap_or_else(|| {
+            self.sets.push(set);
+            self.sets.len() - 1
+        }) as u32
+    }
+
+    /// Sides that meet at a vertex; empty inside of a label.
+    #[inline]
+    pub fn sides(&self, v: u32) -> &[Side] {
+        &self.sets[self.side_set[v as usize] as usize]
+    }
+
+    /// Whether a vertex lies on a surface.
+    #[inline]
+    pub fn is_on_surface(&self, v: u32) -> bool {
+        self.side_set[v as usize] != 0
+    }
+
+    /// Whether every side of `v` is a side of `w`.
+    pub fn sides_within(&self, v: u32, w: u32) -> bool {
+        self.side_set[v as usize] == self.side_set[w as usize]
+            || self.sides(v).iter().all(|s| self.sides(w).contains(s))
+    }
+
+    /// Tets of a vertex.
+    #[inline]
+    pub fn ball(&self, v: u32) -> &[u32] {
+        &self.balls[v as usize]
+    }
+
+    /// Whether a slot holds a tet.
+    #[inline]
+    pub fn is_live(&self, t: u32) -> bool {
+        self.tets[t as usize] != DEAD
+    }
+
+    /// Points of a tet.
+    #[inline]
+    pub fn corners(&self, t: u32) -> [DVec3; 4] {
+        self.tets[t as usize].map(|v| self.points[v as usize])
+    }
+
+    /// Score of a tet.
+    #[inline]
+    pub fn score(&self, t: u32) -> f64 {
+        tet_score(self.corners(t))
+    }
+
+    /// Lowest score in a group of tets.
+    pub fn lowest(&self, tets: &[u32]) -> f64 {
+        tets.iter().map(|t| self.score(*t)).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Lowest score of the ball of `v` with `v` at another place; stops early below `enough`.
+    pub fn lowest_with(&self, v: u32, place: DVec3, enough: f64) -> f64 {
+        let mut lowest = f64::INFINITY;
+        for &t in self.ball(v) {
+            let tet = self.tets[t as usize];
+            lowest = lowest.min(tet_score(tet.map(|w| if w == v { place } else { self.points[w as usize] })));
+            if lowest < enough {
+                return lowest;
+            }
+        }
+        lowest
+    }
+
+    /// Mean length of the edges at a vertex.
+    pub fn edge_length(&self, v: u32) -> f64 {
+        let (mut sum, mut count) = (0.0, 0);
+        for &t in self.ball(v) {
+            for w in self.tets[t as usize] {
+                if w != v {
+                    sum += self.points[w as usize].distance(self.points[v as usize]);
+                    count += 1;
+                }
+            }
+        }
+        if count > 0 { sum / f64::from(count) } else { 0.0 }
+    }
+
+    /// The tet on the other side of the face of `t` opposite to its corner `face`.
+    pub fn neighbor(&self, t: u32, face: usize) -> Option<u32> {
+        let tet = self.tets[t as usize];
+        let [a, b, c] = TET_FACES[face].map(|v| tet[v]);
+        self.ball(a).iter().copied().find(|&n| {
+            n != t && {
+                let other = &self.tets[n as usize];
+                other.contains(&b) && other.contains(&c)
+            }
+        })
+    }
+
+    /// Tets around an edge.
+    pub fn shell(&self, a: u32, b: u32) -> Vec<u32> {
+        self.ball(a).iter().copied().filter(|t| self.tets[*t as usize].contains(&b)).collect()
+    }
+
+    /// Faces at a vertex that separate two sides.
+    pub fn surface_faces(&self, v: u32) -> Vec<SurfaceFace> {
+        // (smaller, larger, tet, face) of every face at v; equal pairs are the two tets of a face.
+        let mut entries: Vec<(u32, u32, u32, [u32; 2])> = Vec::with_capacity(3 * self.ball(v).len());
+        for &t in self.ball(v) {
+            let tet = self.tets[t as usize];
+            for face in TET_FACES {
+                let corners = face.map(|c| tet[c]);
+                if let Some(at) = corners.iter().position(|c| *c == v) {
+                    let others = [corners[(at + 1) % 3], corners[(at + 2) % 3]];
+                    entries.push((others[0].min(others[1]), others[0].max(others[1]), t, others));
+                }
+            }
+        }
+        entries.sort_unstable();
+        let mut faces = Vec::new();
+        let mut at = 0;
+        while at < entries.len() {
+            let (a, b, t, others) = entries[at];
+            match entries.get(at + 1) {
+                Some(&(c, d, u, _)) if (a, b) == (c, d) => {
+                    if self.labels[t as usize] != self.labels[u as usize] {
+                        faces.push(SurfaceFace { others, inner: t, outer: Some(u) });
+                    }
+                    at += 2;
+                }
+                _ => {
+                    faces.push(SurfaceFace { others, inner: t, outer: None });
+                    at += 1;
+                }
+            }
+        }
+        faces
+    }
+
+    /// Whether an edge lies on a surface: its tets differ in label or do not close around it.
+    pub fn is_surface_edge(&self, a: u32, b: u32, shell: &[u32]) -> bool {
+        if !(self.is_on_surface(a) && self.is_on_surface(b)) {
+            return false;
+        }
+        let label = self.labels[shell[0] as usize];
+        shell.iter().any(|t| self.labels[*t as usize] != label) || self.ring(a, b, shell).is_none()
+    }
+
+    /// Vertices around an edge in order, such that the tets are a, b, ring i, ring i + 1; `None` where the tets do not close.
+    pub fn ring(&self, a: u32, b: u32, shell: &[u32]) -> Option<Vec<u32>> {
+        let mut links: Vec<[u32; 2]> = Vec::with_capacity(shell.len());
+        for &t in shell {
+            links.push(ordered_rest(self.tets[t as usize], a, b));
+        }
+        let mut ring = vec![links[0][0]];
+        let mut next = links[0][1];
+        while next != ring[0] {
+            if ring.len() >= links.len() {
+                return None;
+            }
+            ring.push(next);
+            next = links.iter().find(|l| l[0] == next)?[1];
+        }
+        (ring.len() == shell.len()).then_some(ring)
+    }
+
+    /// Replaces a group of tets; returns the slots of the new ones.
+    pub fn replace(&mut self, old: &[u32], new: &[([u32; 4], Label)]) -> Vec<u32> {
+        for &t in old {
+            for v in std::mem::replace(&mut self.tets[t as usize], DEAD) {
+                let ball = &mut self.balls[v as usize];
+                if let Some(at) = ball.iter().position(|u| *u == t) {
+                    ball.swap_remove(at);
+                }
+            }
+            self.free.push(t);
+        }
+        let mut slots = Vec::with_capacity(new.len());
+        for (tet, label) in new {
+            let slot = self.free.pop().unwrap_or_else(|| {
+                self.tets.push(DEAD);
+                self.labels.push(*label);
+                self.tets.len() as u32 - 1
+            });
+            self.tets[slot as usize] = *tet;
+            self.labels[slot as usize] = *label;
+            tet.iter().for_each(|v| self.balls[*v as usize].push(slot));
+            slots.push(slot);
+        }
+        slots
+    }
+
+    /// Rows and labels of a group of tets.
+    pub fn rows(&self, tets: &[u32]) -> Vec<([u32; 4], Label)> {
+        tets.iter().map(|t| (self.tets[*t as usize], self.labels[*t as usize])).collect()
+    }
+
+    /// A new vertex without tets.
+    pub fn add_vertex(&mut self, point: DVec3, sides: Vec<Side>) -> u32 {
+        let set = self.intern(sides);
+        self.points.push(point);
+        self.balls.push(Vec::new());
+        self.side_set.push(set);
+        self.fixed.push(false);
+        self.points.len() as u32 - 1
+    }
+
+    /// Takes the last vertex away again; it has no tets.
+    pub fn remove_last_vertex(&mut self) {
+        debug_assert!(self.balls.last().is_some_and(Vec::is_empty));
+        self.points.pop();
+        self.balls.pop();
+        self.side_set.pop();
+        self.fixed.pop();
+    }
+
+    /// Finds the sides of a vertex anew after the labels around it have changed.
+    pub fn update_sides(&mut self, v: u32) {
+        let mut sides = Vec::new();
+        for face in self.surface_faces(v) {
+            sides.push(Side::Label(self.labels[face.inner as usize]));
+            sides.push(match face.outer {
+                Some(outer) => Side::Label(self.labels[outer as usize]),
+                None => {
+                    let [a, b] = face.others.map(|w| self.points[w as usize]);
+                    outside_of([self.points[v as usize], a, b], &self.surface)
+                }
+            });
+        }
+        sides.sort_unstable();
+        sides.dedup();
+        self.side_set[v as usize] = self.intern(sides);
+    }
+}
+
+/// The other two vertices of a tet in the order that makes (a, b, first, second) positive like the tet.
+pub fn ordered_rest(tet: [u32; 4], a: u32, b: u32) -> [u32; 2] {
+    use crate::mesh::numbering::{TET_EDGES, TET_OPPOSITE_EDGES};
+    for (edge, opposite) in TET_EDGES.into_iter().zip(TET_OPPOSITE_EDGES) {
+        let [c, d] = opposite.map(|v| tet[v]);
+        if tet[edge[0]] == a && tet[edge[1]] == b {
+            return [c, d];
+        }
+        if tet[edge[0]] == b && tet[edge[1]] == a {
+            return [d, c];
+        }
+    }
+    debug_assert!(false, "the edge belongs to the tet");
+    [a, b]
+}

@@ -1,0 +1,230 @@
+//! Quality improvement after the deformation: relaxation, volumes, optimisation and local transformations in rounds.
+//!
+//! # Method
+//! Each round:
+//! 1. Volumes: the mesh's volume per label is compared with the voxels'; the offsets of the labels' surfaces are set so that
+//!    the difference would vanish, by a few relaxation steps over the areas between labels.
+//! 2. Surface vertices relax along their surface and onto it; vertices of low score inside follow.
+//! 3. The tets below the wanted score are gone through from the worst: their vertices are optimised; in later rounds
+//!    local transformations are tried on what is still low.
+//!
+//! # Source
+//! [KlingnerShewchuk2007] for the schedule.
+//!
+//! # Invariants
+//! The order of work is fixed and sequential where a step depends on the one before: the same bits for any number of
+//! threads. Volumes are summed in fixed chunks.
+
+use glam::DVec3;
+use rustc_hash::FxHashMap;
+
+use crate::context::RunContext;
+use crate::error::Result;
+use crate::geometry::tetrahedron::volume6;
+use crate::image::label_image::LabelImage;
+use crate::lattice::boundary_targets::SourcePoints;
+use crate::lattice::candidate_mesh::CandidateMesh;
+use crate::lattice::improvement_mesh::ImprovementMesh;
+use crate::lattice::local_transformations::{TransformationCounts, transform};
+use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
+use crate::lattice::vertex_optimization::{optimize_vertex, relax_inside, relax_on_surface};
+
+/// Rounds of relaxation and optimisation.
+const ROUNDS: usize = 6;
+
+/// Rounds at the end that may transform.
+const TRANSFORMING_ROUNDS: usize = 3;
+
+/// Score that relaxation may spend, degrees: above what is asked for, so that later steps have room.
+const RELAXATION_BOUND: f64 = 19.0;
+
+/// Score that optimisation wants: the aim of 15 to 155 degrees, and a little more.
+const WANTED: f64 = 16.5;
+
+/// How far a surface vertex may stay off its surface for the sake of quality, in voxels of the smallest spacing.
+const SLACK: f64 = 0.15;
+
+/// Largest offset of a label's surface, in smallest spacings.
+const LARGEST_OFFSET: f64 = 0.35;
+
+/// Whether elements may be replaced.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Transformations {
+    /// Vertices move only; elements stay the same.
+    None,
+    /// Elements may be replaced.
+    Local,
+}
+
+/// Options of the improvement.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ImprovementOptions {
+    /// Whether elements may be replaced.
+    pub transformations: Transformations,
+    /// Sweeps that move inner vertices towards the mean of their neighbours wherever that helps.
+    pub laplacian_iterations: usize,
+    /// Smallest dihedral angle that is asked for, degrees.
+    pub min_dihedral_angle: f64,
+}
+
+/// What the improvement did.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct ImprovementSummary {
+    /// Tets below the wanted score at the beginning and at the end.
+    pub low_before: usize,
+    /// See `low_before`.
+    pub low_after: usize,
+    /// Lowest score at the end, degrees.
+    pub lowest: f64,
+    /// Transformations made.
+    pub counts: TransformationCounts,
+}
+
+/// Improves the tets of a mesh; `surface` gets the offsets that keep the volumes.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn improve(
+    mesh: &mut CandidateMesh,
+    image: &LabelImage,
+    sources: &SourcePoints,
+    options: &ImprovementOptions,
+    context: &RunContext,
+) -> Result<ImprovementSummary> {
+    let mut summary = ImprovementSummary::default();
+    let wanted_volumes = voxel_volumes(image);
+    let slack = SLACK * image.grid().spacing().min_element();
+    let wanted = WANTED.max(options.min_dihedral_angle);
+    let mut work = ImprovementMesh::new(mesh, sources, SubvoxelSurface::new(image));
+    summary.low_before = low_tets(&work, wanted).len();
+    for round in 0..ROUNDS {
+        let may_transform = options.transformations == Transformations::Local && round + TRANSFORMING_ROUNDS >= ROUNDS;
+        relax_all(&mut work, context)?;
+        raise_low_tets(&mut work, wanted, may_transform.then_some(&mut summary.counts), slack, context)?;
+        if round + 1 < ROUNDS {
+            update_offsets(&mut work, &wanted_volumes, image);
+        }
+    }
+    for _ in 0..options.laplacian_iterations {
+        context.check()?;
+        (0..work.points.len() as u32).for_each(|v| {
+            relax_inside(&mut work, v, f64::INFINITY);
+        });
+    }
+    let low = low_tets(&work, wanted);
+    summary.low_after = low.len();
+    summary.lowest = low.first().map_or(wanted, |(score, _)| *score);
+    work.finish(mesh);
+    Ok(summary)
+}
+
+/// One sweep over all vertices on and near surfaces.
+fn relax_all(work: &mut ImprovementMesh, context: &RunContext) -> Result<()> {
+    for v in 0..work.points.len() as u32 {
+        if v % 4096 == 0 {
+            context.check()?;
+        }
+        if work.ball(v).is_empty() {
+            continue;
+        }
+        if work.is_on_surface(v) {
+            relax_on_surface(work, v, RELAXATION_BOUND);
+        } else {
+            relax_inside(work, v, RELAXATION_BOUND);
+        }
+    }
+    Ok(())
+}
+
+/// Tets below the wanted score, worst first.
+fn low_tets(mesh: &ImprovementMesh, wanted: f64) -> Vec<(f64, u32)> {
+    let mut low: Vec<(f64, u32)> = (0..mesh.tets.len() as u32)
+        .filter(|t| mesh.is_live(*t))
+        .map(|t| (mesh.score(t), t))
+        .filter(|(score, _)| *score < wanted)
+        .collect();
+    low.sort_unstable_by(|l, r| l.0.total_cmp(&r.0).then(l.1.cmp(&r.1)));
+    low
+}
+
+fn raise_low_tets(
+    mesh: &mut ImprovementMesh,
+    wanted: f64,
+    mut counts: Option<&mut TransformationCounts>,
+    slack: f64,
+    context: &RunContext,
+) -> Result<()> {
+    for (at, (_, t)) in low_tets(mesh, wanted).into_iter().enumerate() {
+        if at % 256 == 0 {
+            context.check()?;
+        }
+        if !mesh.is_live(t) || mesh.score(t) >= wanted {
+            continue;
+        }
+        for v in mesh.tets[t as usize] {
+            optimize_vertex(mesh, v, wanted, slack);
+        }
+        if let Some(counts) = counts.as_deref_mut()
+            && mesh.score(t) < wanted
+        {
+            transform(mesh, t, slack, counts);
+        }
+    }
+    Ok(())
+}
+
+/// Volume of the voxels of each label, mm^3.
+fn voxel_volumes(image: &LabelImage) -> Vec<f64> {
+    let mut counts = vec![0u64; image.label_count()];
+    image.voxels().iter().for_each(|l| counts[l.index()] += 1);
+    let spacing = image.grid().spacing();
+    counts.into_iter().map(|c| c as f64 * spacing.x * spacing.y * spacing.z).collect()
+}
+
+/// Sets the offsets so that each label's volume would become the wanted one.
+fn update_offsets(mesh: &mut ImprovementMesh, wanted: &[f64], image: &LabelImage) {
+    let mut volumes = vec![0.0; wanted.len()];
+    for t in (0..mesh.tets.len() as u32).filter(|t| mesh.is_live(*t)) {
+        volumes[mesh.labels[t as usize].index()] += volume6(mesh.corners(t)) / 6.0;
+    }
+    let mut areas: FxHashMap<(usize, usize), f64> = FxHashMap::default();
+    for v in 0..mesh.points.len() as u32 {
+        if !mesh.is_on_surface(v) || mesh.ball(v).is_empty() {
+            continue;
+        }
+        for face in mesh.surface_faces(v) {
+            let [a, b] = face.others;
+            let is_border = |w: u32| mesh.sides(w).iter().any(|s| matches!(s, Side::Border(_)));
+            if face.outer.is_none() && [v, a, b].into_iter().all(is_border) {
+                continue;
+            }
+            let [p, q, r]: [DVec3; 3] = [v, a, b].map(|w| mesh.points[w as usize]);
+            let inner = mesh.labels[face.inner as usize].index();
+            let outer = face.outer.map_or(0, |o| mesh.labels[o as usize].index());
+            // Each face is met at its three vertices.
+            *areas.entry((inner.min(outer), inner.max(outer))).or_default() += (q - p).cross(r - p).length() / 6.0;
+        }
+    }
+    let mut pairs: Vec<((usize, usize), f64)> = areas.into_iter().collect();
+    pairs.sort_unstable_by_key(|(pair, _)| *pair);
+    let mut change = vec![0.0; wanted.len()];
+    // Gauss-Seidel for sum over neighbours b of area(a, b) (x_a - x_b) = missing volume of a; the background stays at 0.
+    for _ in 0..30 {
+        for label in 1..wanted.len() {
+            let (mut total, mut pull) = (0.0, wanted[label] - volumes[label]);
+            for ((a, b), area) in &pairs {
+                if *a == label || *b == label {
+                    total += area;
+                    pull += area * change[if *a == label { *b } else { *a }];
+                }
+            }
+            if total > 0.0 {
+                change[label] = pull / total;
+            }
+        }
+    }
+    let largest = LARGEST_OFFSET * image.grid().spacing().min_element();
+    for (offset, change) in mesh.surface.offsets_mut().iter_mut().zip(change) {
+        *offset = (*offset + change).clamp(-largest, largest);
+    }
+}

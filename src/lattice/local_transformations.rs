@@ -1,0 +1,383 @@
+//! Local transformations of the worst tets: edge removal, face exchange, edge contraction, edge split, turning a surface edge.
+//!
+//! # Method
+//! Each transformation is planned on the group of tets it would replace, the lowest score of the new group (after its own
+//! vertices have been optimised where it makes any) is compared with that of the old group, and it is kept or taken back.
+//! ```text
+//!   edge removal, n = 5            split of an inner edge that joins two surface vertices
+//!      a above, b below             surface  a-------b           a---m---b
+//!    r0---r1      r0---r1                     \  t  /     ->      \ /|\ /     m then sinks below the surface
+//!    | \ / |      |  \  |                      \   /               c   d
+//!    r4-x-r2  ->  r4--\-r2
+//!      \|/          \  \|         turning a surface edge: the tet a b c d with two faces on the surface around the edge
+//!       r3            r3          a b changes its label (or leaves the mesh); the surface edge is then c d
+//! ```
+//! - Edge removal: the tets around an inner edge of one label are replaced by the best triangulation of its ring, found by
+//!   dynamic programming; three tets become two, four become four, and so on to seven.
+//! - Face exchange: two tets of one label become three around the line of their apexes.
+//! - Contraction: an inner vertex, or a surface vertex along an edge of the same surface, is merged into a neighbour.
+//!
+//! # Source
+//! [FreitagOllivierGooch1997], [Shewchuk2002], [Klincsek1980] for the ring; [Molino2003] splits edges that join two surface
+//! vertices for the same reason.
+//!
+//! # Invariants
+//! The mesh conforms after each call; the lowest score of the tets that were replaced has risen by [`LEAST_GAIN`] at least.
+
+use crate::index::Label;
+use crate::lattice::improvement_mesh::ImprovementMesh;
+use crate::lattice::subvoxel_surface::Side;
+use crate::lattice::untangling::tet_score;
+use crate::lattice::vertex_optimization::optimize_vertex;
+use crate::mesh::numbering::{TET_EDGES, TET_FACES};
+
+/// Rise of the lowest score that is worth a change of the mesh, degrees.
+const LEAST_GAIN: f64 = 0.3;
+
+/// Longest ring of an edge removal.
+const LONGEST_RING: usize = 7;
+
+/// Cosine between an old and a new surface normal below which a contraction or turn would fold the surface.
+const SMALLEST_NORMAL_COSINE: f64 = 0.6;
+
+/// Scores above which nothing more is gained from a vertex optimisation inside of a plan.
+const ENOUGH: f64 = 30.0;
+
+/// Counts of successful transformations.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct TransformationCounts {
+    /// Edges removed.
+    pub edge_removals: usize,
+    /// Faces exchanged.
+    pub face_exchanges: usize,
+    /// Vertices merged into a neighbour.
+    pub contractions: usize,
+    /// Edges split.
+    pub splits: usize,
+    /// Surface edges turned.
+    pub turned_edges: usize,
+}
+
+/// Tries the transformations of a tet in order of their cost; returns whether one was made.
+pub fn transform(mesh: &mut ImprovementMesh, t: u32, slack: f64, counts: &mut TransformationCounts) -> bool {
+    let tet = mesh.tets[t as usize];
+    for [a, b] in TET_EDGES {
+        if remove_edge(mesh, tet[a], tet[b], f64::NEG_INFINITY) {
+            counts.edge_removals += 1;
+            return true;
+        }
+    }
+    for face in 0..4 {
+        if exchange_face(mesh, t, face) {
+            counts.face_exchanges += 1;
+            return true;
+        }
+    }
+    for [a, b] in TET_EDGES {
+        if turn_surface_edge(mesh, t, tet[a], tet[b]) {
+            counts.turned_edges += 1;
+            return true;
+        }
+    }
+    for [a, b] in TET_EDGES {
+        for [from, to] in [[a, b], [b, a]] {
+            if contract_edge(mesh, tet[from], tet[to]) {
+                counts.contractions += 1;
+                return true;
+            }
+        }
+    }
+    for [a, b] in TET_EDGES {
+        if split_edge(mesh, tet[a], tet[b], slack) {
+            counts.splits += 1;
+            return true;
+        }
+    }
+    false
+}
+
+/// Replaces the tets around an inner edge by the best triangulation of their ring.
+fn remove_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, at_least: f64) -> bool {
+    let shell = mesh.shell(a, b);
+    if shell.len() < 3 || shell.len() > LONGEST_RING {
+        return false;
+    }
+    let label = mesh.labels[shell[0] as usize];
+    if shell.iter().any(|t| mesh.labels[*t as usize] != label) {
+        return false;
+    }
+    let Some(ring) = mesh.ring(a, b, &shell) else { return false };
+    let needed = (mesh.lowest(&shell) + LEAST_GAIN).max(at_least);
+    let Some(triangles) = best_triangulation(mesh, a, b, &ring, needed) else { return false };
+    let mut new = Vec::with_capacity(2 * triangles.len());
+    for [i, j, k] in triangles {
+        let [p, q, r] = [ring[i], ring[j], ring[k]];
+        new.push(([p, q, r, b], label));
+        new.push(([q, p, r, a], label));
+    }
+    // The new inner faces must not exist elsewhere: an edge between ring vertices outside of the shell would meet them.
+    if creates_known_edge(mesh, &ring, &new) {
+        return false;
+    }
+    mesh.replace(&shell, &new);
+    true
+}
+
+/// Whether a new edge between ring vertices that are not neighbours on the ring is an edge already.
+fn creates_known_edge(mesh: &ImprovementMesh, ring: &[u32], new: &[([u32; 4], Label)]) -> bool {
+    let n = ring.len();
+    let beside = |i: usize, j: usize| (i + 1) % n == j || (j + 1) % n == i;
+    for i in 0..n {
+        for j in i + 1..n {
+            let [p, q] = [ring[i], ring[j]];
+            let used = !beside(i, j) && new.iter().any(|(tet, _)| tet.contains(&p) && tet.contains(&q));
+            if used && mesh.ball(p).iter().any(|t| mesh.tets[*t as usize].contains(&q)) {
+                return true;
+            }
+        }
+    }
+    false
+}
+
+/// [Klincsek1980]: the triangulation of the ring with the highest lowest score, above `needed`.
+fn best_triangulation(mesh: &ImprovementMesh, a: u32, b: u32, ring: &[u32], needed: f64) -> Option<Vec<[usize; 3]>> {
+    let n = ring.len();
+    let at = |v: u32| mesh.points[v as usize];
+    let mut best = [[f64::INFINITY; LONGEST_RING]; LONGEST_RING];
+    let mut middle = [[0usize; LONGEST_RING]; LONGEST_RING];
+    for width in 2..n {
+        for i in 0..n - width {
+            let k = i + width;
+            best[i][k] = f64::NEG_INFINITY;
+            for j in i + 1..k {
+                let mut score = best[i][j].min(best[j][k]);
+                if score <= best[i][k].max(needed) {
+                    continue;
+                }
+                let [p, q, r] = [at(ring[i]), at(ring[j]), at(ring[k])];
+                score = score.min(tet_score([p, q, r, at(b)]));
+                if score > best[i][k].max(needed) {
+                    score = score.min(tet_score([q, p, r, at(a)]));
+                }
+                if score > best[i][k] {
+                    best[i][k] = score;
+                    middle[i][k] = j;
+                }
+            }
+        }
+    }
+    if best[0][n - 1] <= needed {
+        return None;
+    }
+    let mut triangles = Vec::with_capacity(n - 2);
+    let mut spans = vec![(0, n - 1)];
+    while let Some((i, k)) = spans.pop() {
+        if k - i >= 2 {
+            let j = middle[i][k];
+            triangles.push([i, j, k]);
+            spans.push((i, j));
+            spans.push((j, k));
+        }
+    }
+    Some(triangles)
+}
+
+/// Two tets of one label to three around the line between their apexes.
+fn exchange_face(mesh: &mut ImprovementMesh, t: u32, face: usize) -> bool {
+    let Some(other) = mesh.neighbor(t, face) else { return false };
+    let label = mesh.labels[t as usize];
+    if mesh.labels[other as usize] != label {
+        return false;
+    }
+    let tet = mesh.tets[t as usize];
+    let [p, q, r] = TET_FACES[face].map(|v| tet[v]);
+    let inner = tet[face];
+    let Some(outer) = mesh.tets[other as usize].into_iter().find(|v| ![p, q, r].contains(v)) else { return false };
+    if mesh.ball(inner).iter().any(|t| mesh.tets[*t as usize].contains(&outer)) {
+        return false;
+    }
+    // The face p q r is outward from `inner`, so p, q, inner, outer is positive where the three new tets fill the old two.
+    let new = [[p, q, inner, outer], [q, r, inner, outer], [r, p, inner, outer]].map(|tet| (tet, label));
+    let needed = mesh.lowest(&[t, other]) + LEAST_GAIN;
+    if new.iter().any(|(tet, _)| tet_score(tet.map(|v| mesh.points[v as usize])) <= needed) {
+        return false;
+    }
+    mesh.replace(&[t, other], &new);
+    true
+}
+
+/// Vertices joined to `v` by an edge, sorted.
+fn link_vertices(mesh: &ImprovementMesh, v: u32) -> Vec<u32> {
+    let mut link: Vec<u32> = mesh.ball(v).iter().flat_map(|t| mesh.tets[*t as usize]).filter(|w| *w != v).collect();
+    link.sort_unstable();
+    link.dedup();
+    link
+}
+
+fn common(left: &[u32], right: &[u32]) -> usize {
+    left.iter().filter(|v| right.binary_search(v).is_ok()).count()
+}
+
+/// Merges `from` into `to`.
+fn contract_edge(mesh: &mut ImprovementMesh, from: u32, to: u32) -> bool {
+    if mesh.fixed[from as usize] {
+        return false;
+    }
+    let shell = mesh.shell(from, to);
+    // The vertices joined to both ends must be those around the edge, or the contraction would glue distant parts.
+    let mut around: Vec<u32> =
+        shell.iter().flat_map(|t| mesh.tets[*t as usize]).filter(|v| *v != from && *v != to).collect();
+    around.sort_unstable();
+    around.dedup();
+    if common(&link_vertices(mesh, from), &link_vertices(mesh, to)) != around.len() {
+        return false;
+    }
+    if mesh.is_on_surface(from) && !surface_contraction_is_safe(mesh, from, to, &shell) {
+        return false;
+    }
+    let old: Vec<u32> = mesh.ball(from).to_vec();
+    let needed = mesh.lowest(&old) + LEAST_GAIN;
+    let mut new = Vec::with_capacity(old.len());
+    for &t in &old {
+        let tet = mesh.tets[t as usize];
+        if !tet.contains(&to) {
+            let moved = tet.map(|v| if v == from { to } else { v });
+            if tet_score(moved.map(|v| mesh.points[v as usize])) <= needed {
+                return false;
+            }
+            new.push((moved, mesh.labels[t as usize]));
+        }
+    }
+    if new.is_empty() {
+        return false;
+    }
+    mesh.replace(&old, &new);
+    true
+}
+
+/// A surface vertex may be merged along a surface edge into a vertex that separates the same sides and more, when the
+/// triangles keep their direction.
+fn surface_contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32, shell: &[u32]) -> bool {
+    if mesh.sides(from).len() > 2 || !mesh.sides_within(from, to) || !mesh.is_surface_edge(from, to, shell) {
+        return false;
+    }
+    let faces = mesh.surface_faces(from);
+    let mut near: Vec<u32> = faces.iter().flat_map(|f| f.others).collect();
+    near.sort_unstable();
+    near.dedup();
+    let mut near_to: Vec<u32> = mesh.surface_faces(to).iter().flat_map(|f| f.others).collect();
+    near_to.sort_unstable();
+    near_to.dedup();
+    if common(&near, &near_to) != 2 {
+        return false;
+    }
+    let at = |v: u32| mesh.points[v as usize];
+    faces.iter().filter(|f| !f.others.contains(&to)).all(|f| {
+        let [p, q] = f.others.map(at);
+        let before = (p - at(from)).cross(q - at(from)).normalize_or_zero();
+        let after = (p - at(to)).cross(q - at(to)).normalize_or_zero();
+        before.dot(after) > SMALLEST_NORMAL_COSINE
+    })
+}
+
+/// Sides of a vertex in the middle of an edge.
+fn sides_of_edge(mesh: &ImprovementMesh, a: u32, b: u32, shell: &[u32]) -> Vec<Side> {
+    if !mesh.is_surface_edge(a, b, shell) {
+        return Vec::new();
+    }
+    let is_open = mesh.ring(a, b, shell).is_none();
+    let mut sides: Vec<Side> = shell.iter().map(|t| Side::Label(mesh.labels[*t as usize])).collect();
+    if is_open {
+        let outside = |s: &&Side| matches!(s, Side::Border(_)) || **s == Side::Label(Label::BACKGROUND);
+        sides.extend(mesh.sides(a).iter().filter(outside).filter(|s| mesh.sides(b).contains(s)));
+    }
+    sides.sort_unstable();
+    sides.dedup();
+    sides
+}
+
+/// Splits an edge at its middle when that, with the new vertex and its neighbours optimised, scores higher.
+fn split_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, slack: f64) -> bool {
+    let shell = mesh.shell(a, b);
+    let needed = mesh.lowest(&shell) + LEAST_GAIN;
+    let sides = sides_of_edge(mesh, a, b, &shell);
+    let mut middle = mesh.points[a as usize].midpoint(mesh.points[b as usize]);
+    if !sides.is_empty() {
+        // Only where the surface passes by: a surface vertex off its surface helps nobody.
+        let length = mesh.points[a as usize].distance(mesh.points[b as usize]);
+        let Some(place) = mesh.surface.project(middle, &sides, 0.5 * length) else { return false };
+        middle = place;
+    }
+    let old = mesh.rows(&shell);
+    let m = mesh.add_vertex(middle, sides);
+    let mut new = Vec::with_capacity(2 * old.len());
+    for (tet, label) in &old {
+        new.push((tet.map(|v| if v == a { m } else { v }), *label));
+        new.push((tet.map(|v| if v == b { m } else { v }), *label));
+    }
+    let slots = mesh.replace(&shell, &new);
+    if optimize_vertex(mesh, m, ENOUGH, slack) > needed {
+        return true;
+    }
+    mesh.replace(&slots, &old);
+    mesh.remove_last_vertex();
+    false
+}
+
+/// A tet with two faces on one surface, around the edge a b, goes to the other side.
+fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool {
+    let tet = mesh.tets[t as usize];
+    let label = mesh.labels[t as usize];
+    let [c, d] = {
+        let mut rest = tet.into_iter().filter(|v| *v != a && *v != b);
+        [rest.next().unwrap_or(a), rest.next().unwrap_or(b)]
+    };
+    let face_of = |v: u32| tet.iter().position(|w| *w == v).unwrap_or(0);
+    let behind = [c, d].map(|v| mesh.neighbor(t, face_of(v)));
+    let inside = [a, b].map(|v| mesh.neighbor(t, face_of(v)));
+    if inside.iter().any(|n| n.is_none_or(|n| mesh.labels[n as usize] != label)) {
+        return false;
+    }
+    let shell_of_turned = mesh.shell(c, d);
+    let shell = mesh.shell(a, b);
+    // a b is an edge of exactly two surface faces; c d lies inside, so that the surface stays a surface.
+    if shell_of_turned.iter().any(|n| mesh.labels[*n as usize] != label) || mesh.is_surface_edge(c, d, &shell_of_turned)
+    {
+        return false;
+    }
+    let at = |v: u32| mesh.points[v as usize];
+    let normal = |p: u32, q: u32, r: u32| (at(q) - at(p)).cross(at(r) - at(p)).normalize_or_zero();
+    let before = [normal(a, b, c), normal(b, a, d)];
+    let after = [normal(c, d, b), normal(d, c, a)];
+    // All four triangles look the same way when the tet is flat; the sign of the order cancels.
+    let flat = before[0].dot(before[1]) > SMALLEST_NORMAL_COSINE
+        && after[0].dot(after[1]) > SMALLEST_NORMAL_COSINE
+        && before[0].dot(after[0]).abs() > SMALLEST_NORMAL_COSINE;
+    if !flat || [a, b, c, d].iter().any(|v| mesh.sides(*v).len() > 2 || mesh.fixed[*v as usize]) {
+        return false;
+    }
+    match behind {
+        [None, None] => {
+            // Outside of the mesh: nothing is left to be flat. Both ends keep other tets, or they would be lost.
+            if shell.len() < 2 || mesh.ball(a).len() < 2 || mesh.ball(b).len() < 2 {
+                return false;
+            }
+            mesh.replace(&[t], &[]);
+            true
+        }
+        [Some(first), Some(second)] if mesh.labels[first as usize] == mesh.labels[second as usize] => {
+            let other = mesh.labels[first as usize];
+            if shell.iter().any(|n| *n != t && mesh.labels[*n as usize] != other) {
+                return false;
+            }
+            mesh.labels[t as usize] = other;
+            let score = mesh.score(t);
+            if remove_edge(mesh, a, b, score) {
+                return true;
+            }
+            mesh.labels[t as usize] = label;
+            false
+        }
+        _ => false,
+    }
+}
