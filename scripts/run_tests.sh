@@ -1,0 +1,80 @@
+#!/usr/bin/env bash
+# Runs every check, goes on after a failure, and counts. The last line is "N passed, N failed".
+set -uo pipefail
+cd "$(dirname "$0")/.."
+export CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-$PWD/target}
+logs=$CARGO_TARGET_DIR/test-logs
+build=$CARGO_TARGET_DIR/cmake
+mkdir -p "$logs"
+passed=0
+failed=0
+failures=()
+started=$SECONDS
+
+# step NAME COMMAND...: one check; its output is shown when it fails.
+step() {
+    local name=$1 begin=$SECONDS
+    shift
+    if "$@" > "$logs/$name.log" 2>&1; then
+        passed=$((passed + 1))
+        echo "ok      $name ($((SECONDS - begin)) s)"
+    else
+        failed=$((failed + 1))
+        failures+=("$name")
+        echo "FAILED  $name ($((SECONDS - begin)) s), $logs/$name.log:"
+        tail -60 "$logs/$name.log"
+    fi
+}
+
+# counted NAME READER COMMAND...: a command that runs many tests; READER takes "passed failed" from its log.
+counted() {
+    local name=$1 reader=$2 begin=$SECONDS status=0 good bad
+    shift 2
+    "$@" > "$logs/$name.log" 2>&1 || status=$?
+    read -r good bad < <($reader "$logs/$name.log")
+    # A command that fails without a failed test (it did not build, it crashed) is a failure too.
+    [ $status -eq 0 ] || [ "$bad" -gt 0 ] || bad=1
+    passed=$((passed + good))
+    failed=$((failed + bad))
+    if [ "$bad" -gt 0 ] || [ $status -ne 0 ]; then
+        failures+=("$name")
+        echo "FAILED  $name: $good passed, $bad failed ($((SECONDS - begin)) s), $logs/$name.log:"
+        grep -nE "^(error|test .*FAILED|FAILED |failures:|thread .* panicked|.*\*\*\*(Failed|Timeout|Exception))" -A8 \
+            "$logs/$name.log" | head -120
+        tail -20 "$logs/$name.log"
+    else
+        echo "ok      $name: $good passed ($((SECONDS - begin)) s)"
+    fi
+}
+read_cargo() {
+    awk '/^test result:/ { good += $4; bad += $6 } END { print good + 0, bad + 0 }' "$1"
+}
+read_ctest() {
+    awk '/tests passed,/ { bad = $4; all = $9 } /out of/ { for (i = 1; i < NF; i++) if ($i == "of") all = $(i + 1) }
+         END { print all - bad + 0, bad + 0 }' "$1"
+}
+read_pytest() {
+    awk '/(passed|failed|error)/ { g = 0; b = 0; for (i = 2; i <= NF; i++) { if ($i ~ /^passed/) g = $(i - 1);
+         if ($i ~ /^(failed|error)/) b += $(i - 1) } } END { print g + 0, b + 0 }' "$1"
+}
+
+step format cargo fmt --check
+step clippy cargo clippy --locked --all-targets --quiet -- -D warnings
+counted rust read_cargo cargo test --locked --no-fail-fast
+step rustdoc env RUSTDOCFLAGS="-D warnings" cargo doc --locked --no-deps --lib --quiet
+
+step configure cmake -S . -B "$build" -DCMAKE_BUILD_TYPE=Release -DMESHWRIGHT_CARGO_TARGET_DIR="$CARGO_TARGET_DIR"
+step build cmake --build "$build" -j "$(nproc)"
+counted ctest read_ctest ctest --test-dir "$build" --output-on-failure --no-tests=error
+step abi scripts/check_abi.sh
+
+if compgen -G "tests/python/test_*.py" > /dev/null; then
+    step python scripts/python.sh
+    counted pytest read_pytest env MESHWRIGHT="$CARGO_TARGET_DIR/release/meshwright" \
+        "$CARGO_TARGET_DIR/python/bin/python" -m pytest -q -p no:cacheprovider tests/python
+fi
+
+echo "in $(((SECONDS - started) / 60)) min $(((SECONDS - started) % 60)) s"
+[ ${#failures[@]} -eq 0 ] || echo "failed: ${failures[*]}"
+echo "$passed passed, $failed failed"
+[ $failed -eq 0 ]

@@ -1,0 +1,136 @@
+// VTK reads what the library writes, and vtkMeshQuality agrees with its measures.
+#include "support.hpp"
+
+#include <vtkCellData.h>
+#include <vtkCellIterator.h>
+#include <vtkDataArray.h>
+#include <vtkGenericCell.h>
+#include <vtkMeshQuality.h>
+#include <vtkNew.h>
+#include <vtkSmartPointer.h>
+#include <vtkUnstructuredGrid.h>
+#include <vtkUnstructuredGridReader.h>
+#include <vtkXMLUnstructuredGridReader.h>
+
+#include <cmath>
+#include <cstdlib>
+
+static std::string folder;
+
+static vtkSmartPointer<vtkUnstructuredGrid> read(const std::string &path) {
+    vtkSmartPointer<vtkUnstructuredGrid> grid = vtkSmartPointer<vtkUnstructuredGrid>::New();
+    if (path.size() > 4 && path.substr(path.size() - 4) == ".vtu") {
+        vtkNew<vtkXMLUnstructuredGridReader> reader;
+        reader->SetFileName(path.c_str());
+        reader->Update();
+        grid->DeepCopy(reader->GetOutput());
+    } else {
+        vtkNew<vtkUnstructuredGridReader> reader;
+        reader->SetFileName(path.c_str());
+        reader->Update();
+        grid->DeepCopy(reader->GetOutput());
+    }
+    return grid;
+}
+
+/// Volume cells of the file are those of the mesh, in order, with their labels and points.
+static void compare(const mw::Mesh &mesh, vtkUnstructuredGrid *grid, double sign, const std::string &what) {
+    const int before = failures;
+    CHECK(static_cast<std::size_t>(grid->GetNumberOfPoints()) == mesh.point_count());
+    vtkDataArray *labels = grid->GetCellData()->GetArray("labels");
+    if (!labels) labels = grid->GetCellData()->GetArray("label");
+    CHECK(labels != nullptr);
+    if (failures > before) {
+        std::fprintf(stderr, "in %s\n", what.c_str());
+        return;
+    }
+    double worst = 0.0;
+    for (std::size_t i = 0; i < mesh.point_count(); ++i) {
+        const double *point = grid->GetPoint(static_cast<vtkIdType>(i));
+        worst = std::max(worst, std::fabs(point[0] - sign * mesh.points()[3 * i]));
+        worst = std::max(worst, std::fabs(point[1] - sign * mesh.points()[3 * i + 1]));
+        worst = std::max(worst, std::fabs(point[2] - mesh.points()[3 * i + 2]));
+    }
+    CHECK(worst <= 1e-12);
+    std::size_t cell = 0, wrong = 0;
+    vtkNew<vtkGenericCell> generic;
+    for (vtkIdType id = 0; id < grid->GetNumberOfCells(); ++id) {
+        if (grid->GetCellType(id) < 10) continue; // surface triangles, where the format carries them
+        grid->GetCell(id, generic);
+        if (cell >= mesh.cell_count() || grid->GetCellType(id) != mesh.cell_types()[cell]) {
+            ++wrong;
+            continue;
+        }
+        const std::int64_t begin = mesh.offsets()[cell];
+        for (vtkIdType node = 0; node < generic->GetNumberOfPoints(); ++node)
+            wrong += generic->GetPointId(node) != mesh.connectivity()[begin + node];
+        wrong += static_cast<int>(labels->GetTuple1(id)) != mesh.labels()[cell];
+        ++cell;
+    }
+    CHECK(wrong == 0 && cell == mesh.cell_count());
+    if (failures > before) std::fprintf(stderr, "in %s\n", what.c_str());
+}
+
+static void formats(const mw::Mesh &mesh) {
+    const char *settings[][2] = {
+        {"a.vtu", ""}, {"b.vtu", "encoding=ascii"}, {"c.vtu", "compression=zlib"}, {"d.vtu", "surfaces=omit"},
+        {"e.vtk", "format=vtk42"}, {"f.vtk", "format=vtk42;encoding=ascii"}, {"g.vtk", "format=vtk51"},
+        {"h.vtk", "format=vtk51;encoding=ascii"}, {"i.vtk", ""}};
+    for (const auto &setting : settings) {
+        const std::string path = folder + "/" + setting[0];
+        mesh.write(path, setting[1]);
+        compare(mesh, read(path), 1.0, setting[1]);
+    }
+    mesh.write(folder + "/ras.vtu", "space=ras");
+    compare(mesh, read(folder + "/ras.vtu"), -1.0, "space=ras");
+}
+
+/// Every format that the library reads itself brings the same cells back.
+static void round_trips(const mw::Context &context, const mw::Mesh &mesh) {
+    for (const char *name : {"r.vtu", "r.vtk", "r.msh", "r.mesh", "r.meshb"}) {
+        const std::string path = folder + "/" + name;
+        mesh.write(path);
+        const mw::Mesh back = mw::Mesh::read(context, path);
+        CHECK(back.cell_count() == mesh.cell_count() && back.point_count() == mesh.point_count());
+        CHECK(hash_of(back) == hash_of(mesh));
+        if (hash_of(back) != hash_of(mesh)) std::fprintf(stderr, "in %s\n", name);
+    }
+}
+
+static void quality(const mw::Mesh &mesh) {
+    mesh.write(folder + "/quality.vtu", "surfaces=omit");
+    vtkSmartPointer<vtkUnstructuredGrid> grid = read(folder + "/quality.vtu");
+    const std::vector<double> dihedral = mesh.quality("min_dihedral"), ratio = mesh.quality("radius_ratio"),
+                              jacobian = mesh.quality("scaled_jacobian");
+    double worst[3] = {0.0, 0.0, 0.0};
+    for (vtkIdType id = 0; id < grid->GetNumberOfCells(); ++id) {
+        vtkCell *cell = grid->GetCell(id);
+        worst[0] = std::max(worst[0], std::fabs(vtkMeshQuality::TetMinAngle(cell) - dihedral[id]));
+        worst[1] = std::max(worst[1], std::fabs(vtkMeshQuality::TetRadiusRatio(cell) - ratio[id]));
+        worst[2] = std::max(worst[2], std::fabs(vtkMeshQuality::TetScaledJacobian(cell) - jacobian[id]));
+    }
+    std::printf("largest difference to vtkMeshQuality over %d tets: dihedral %g, radius ratio %g, Jacobian %g\n",
+                static_cast<int>(grid->GetNumberOfCells()), worst[0], worst[1], worst[2]);
+    CHECK(grid->GetNumberOfCells() > 100);
+    for (double difference : worst) CHECK(difference < 1e-9);
+}
+
+int main() {
+    char name[] = "/tmp/meshwright-vtk-XXXXXX";
+    if (!mkdtemp(name)) return 2;
+    folder = name;
+    try {
+        const mw::Context context(2);
+        mw::Job job = ball_job(context, 32, 4.0);
+        job.run();
+        const mw::Mesh mesh = job.mesh();
+        formats(mesh);
+        round_trips(context, mesh);
+        quality(mesh);
+    } catch (const std::exception &error) {
+        std::fprintf(stderr, "%s\n", error.what());
+        ++failures;
+    }
+    const int removed = std::system(("rm -rf " + folder).c_str());
+    return finish("test_vtk") || removed;
+}
