@@ -26,6 +26,7 @@ use crate::conforming::flip_criteria::{MaxAngle, TetMeasure, min_edge_weight};
 use crate::conforming::flips::{FlipScratch, Outcome, collect_ring, commit};
 use crate::error::Result;
 use crate::geometry::predicates::{insphere, orient3d};
+use crate::geometry::tetrahedron::dihedral_cosines;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::tet_store::TetStore;
 use crate::mesh::topology::ShellTet;
@@ -86,6 +87,10 @@ pub struct Reconnector {
     stack: Vec<TetFace>,
 }
 
+/// Cosine of the angle (105 degrees) above which a tet is considered for the second objective: with 90 degrees the pass
+/// takes twice as long and leaves as many slivers (measured on spheres and parts of 50 thousand tets).
+const LARGE_ANGLE_COSINE: f64 = -0.258_8;
+
 /// Relative gain below which the edge weight counts as equal: no flip back and forth.
 const WEIGHT_GAIN: f64 = 1e-9;
 
@@ -143,6 +148,9 @@ impl Reconnector {
         budget: usize,
     ) -> Result<usize> {
         self.stack.clear();
+        if !may_gain(store, tet, objective) {
+            return Ok(0);
+        }
         self.stack.extend((0..4).map(|face| TetFace::new(tet, face)));
         let mut flips = 0;
         while let Some(side) = self.stack.pop() {
@@ -150,8 +158,8 @@ impl Reconnector {
                 Outcome::Accepted => {
                     flips += 1;
                     if flips < budget {
-                        let created = &self.scratch.created;
-                        self.stack.extend(created.iter().flat_map(|&t| (0..4).map(move |f| TetFace::new(t, f))));
+                        let created = self.scratch.created.iter().filter(|&&t| may_gain(store, t, objective));
+                        self.stack.extend(created.flat_map(|&t| (0..4).map(move |f| TetFace::new(t, f))));
                     }
                 }
                 Outcome::ClaimLost => self.lost.push(side),
@@ -351,6 +359,14 @@ impl Reconnector {
         }
         Outcome::Accepted
     }
+}
+
+/// Whether a tet is worth a look: those without a large angle gain nothing from the second objective.
+fn may_gain<S: TetStore + ?Sized>(store: &S, tet: TetId, objective: Objective) -> bool {
+    let row = store.vertices(tet);
+    let is_gone = row[0] == row[1] || row.contains(&VertexId::GHOST);
+    !is_gone
+        && (objective == Objective::InSphere || dihedral_cosines(row.map(|v| store.point(v))).1 < LARGE_ANGLE_COSINE)
 }
 
 /// How good a configuration is; higher is better.

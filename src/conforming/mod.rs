@@ -39,6 +39,7 @@ pub mod report;
 pub mod sliver_removal;
 pub mod smoothing;
 pub mod vertex_insertion;
+pub mod volume_generation;
 
 #[cfg(test)]
 pub(crate) mod test_surfaces;

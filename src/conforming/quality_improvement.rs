@@ -34,6 +34,7 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::geometry::tetrahedron::dihedral_cosines;
 use crate::index::{TetId, VertexId};
+use crate::mesh::quality::SLIVER_DEGREES;
 use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
 use crate::statistics::Statistics;
@@ -71,6 +72,16 @@ pub fn tets_above(complex: &TetComplex, context: &RunContext, degrees: f64) -> V
         let cosine = dihedral_cosines(complex.points_of(tet)).1;
         (cosine < limit).then_some(cosine)
     })
+}
+
+/// Slivers: tets with an angle below 2 or above 178 degrees.
+pub fn sliver_count(complex: &TetComplex, context: &RunContext) -> usize {
+    let limit = SLIVER_DEGREES.to_radians().cos();
+    bad_tets(complex, context, |tet| {
+        let (largest, smallest) = dihedral_cosines(complex.points_of(tet));
+        (largest > limit || smallest < -limit).then_some(smallest)
+    })
+    .len()
 }
 
 /// Tets with a grade below `limit`, worst first.

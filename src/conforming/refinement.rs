@@ -114,7 +114,7 @@ pub fn predicted_tets(complex: &TetComplex, sizes: &[f64], field: &SizeField) ->
         let corners = complex.points_of(tet);
         let center = corners.iter().sum::<glam::DVec3>() / 4.0;
         let average = complex.vertices(tet).map(|v| sizes[v.index()]).iter().sum::<f64>() / 4.0;
-        let size = MEAN_STRETCH * field.bounded(center, average)?;
+        let size = MEAN_STRETCH * field.bounded_in(complex.label(tet), center, average)?;
         total += volume(corners) / (REGULAR_VOLUME * size.powi(3));
     }
     Ok(total)
@@ -137,6 +137,8 @@ pub fn refine(
     let predicted = predicted_tets(complex, sizes, field)?;
     check_limits(options, predicted, "predicted")?;
     figures.set("refinement.predicted_tets", predicted);
+    // One block at the start instead of growth by doubling, which holds old and new rows at once.
+    complex.try_reserve_tets(options.reserved_elements.min((1.1 * predicted) as usize))?;
     let mut driver = Driver::for_refinement(options, context);
     let mut active: Vec<TetId> = complex.finite_tets().collect();
     let mut unused: Vec<VertexId> = Vec::new();
@@ -153,7 +155,7 @@ pub fn refine(
         record_round(&mut figures, rounds, &round);
         let done = complex.live_count() as f64 / predicted.max(1.0);
         context.progress("refinement", 0.15 + 0.5 * done.min(1.0));
-        if round.inserted == 0 {
+        if round.inserted < options.minimum_points.max(1) {
             break;
         }
         check_limits(options, complex.live_count() as f64, "made")?;
@@ -288,7 +290,7 @@ fn filter(
         let Walk::Inside(tet) = walk(complex, candidate.tet, candidate.point) else { return None };
         let interpolated = interpolated_size(complex, sizes, tet, candidate.point, options.size_minimum_weight);
         let wanted = interpolated.min(options.growth_rate * candidate.scale);
-        let size = if is_free { Ok(wanted) } else { field.bounded(candidate.point, wanted) };
+        let size = if is_free { Ok(wanted) } else { field.bounded_in(complex.label(tet), candidate.point, wanted) };
         let size = match size {
             Ok(size) => size,
             Err(error) => return Some(Err(error)),

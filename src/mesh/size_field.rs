@@ -23,7 +23,7 @@ use glam::DVec3;
 
 use crate::error::{Error, Result};
 use crate::geometry::tetrahedron::{barycentric, volume6};
-use crate::index::{TetFace, TetId, VertexId};
+use crate::index::{Label, TetFace, TetId, VertexId};
 use crate::mesh::mixed_mesh::{ElementKind, MixedMesh};
 use crate::mesh::sizing::Sizing;
 use crate::mesh::surface_mesh::SurfaceMesh;
@@ -105,7 +105,7 @@ impl Background {
             if volume6(corners) < 0.0 {
                 row.swap(0, 1);
             }
-            complex.create_tet(row, crate::index::Label(1))?;
+            complex.create_tet(row, Label(1))?;
         }
         complex.pair_faces()?;
         let stride = (complex.live_count() / 256).max(1);
@@ -150,6 +150,8 @@ impl Background {
 pub struct SizeField {
     sizing: Sizing,
     limit: f64,
+    /// By label; labels beyond the end have none.
+    label_limits: Vec<f64>,
     surfaces: SourcePoints,
     background: Option<std::sync::Arc<Background>>,
 }
@@ -170,16 +172,34 @@ impl SizeField {
             Some((mesh, sizes)) => Some(std::sync::Arc::new(Background::new(mesh, sizes)?)),
             None => None,
         };
-        Ok(Self { sizing: sizing.clone(), limit, surfaces: SourcePoints::build(rows), background })
+        let surfaces = SourcePoints::build(rows);
+        Ok(Self { sizing: sizing.clone(), limit, label_limits: Vec::new(), surfaces, background })
+    }
+
+    /// The same field with a largest size anywhere and one per label.
+    #[must_use]
+    pub fn with_limits(mut self, limit: f64, by_label: Vec<f64>) -> Self {
+        (self.limit, self.label_limits) = (limit, by_label);
+        self
     }
 
     /// Whether nothing but the boundary decides.
     pub fn is_free(&self) -> bool {
         self.limit.is_infinite()
+            && self.label_limits.iter().all(|l| l.is_infinite())
             && self.sizing.sources.is_empty()
             && self.sizing.function.is_none()
             && self.surfaces.rows.is_empty()
             && self.background.is_none()
+    }
+
+    /// As [`SizeField::bounded`], and at most the limit of the label.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn bounded_in(&self, label: Label, point: DVec3, wanted: f64) -> Result<f64> {
+        let limit = self.label_limits.get(label.index()).copied().unwrap_or(f64::INFINITY);
+        self.bounded(point, wanted.min(limit))
     }
 
     /// The size at `point` where the surroundings want `wanted`: at most that, and at most every bound.

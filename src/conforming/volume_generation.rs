@@ -1,0 +1,111 @@
+//! From a boundary-conforming mesh to the finished volume grid: sizes, refinement, improvement, unused vertices out.
+//!
+//! # Method
+//! 1. The size field of the host's sizing, the options' sources, source surfaces and region limits.
+//! 2. Refinement ([`super::refinement`]) where asked for; quality improvement ([`super::quality_improvement`]).
+//! 3. Candidates that never became vertices leave holes in the numbering; the last vertices move into them.
+//!
+//! # Source
+//! [Drakopoulos2017] 4.3 steps 3 and 4.
+//!
+//! # Invariants
+//! The first `surface_points` vertices keep their numbers and points; constrained faces and edges stay as they are.
+
+use super::options::Options;
+use super::quality_improvement::improve;
+use super::refinement::{initial_sizes, refine};
+use crate::context::RunContext;
+use crate::error::Result;
+use crate::index::{TetId, VertexId};
+use crate::mesh::size_field::SizeField;
+use crate::mesh::sizing::Sizing;
+use crate::mesh::surface_mesh::SurfaceMesh;
+use crate::mesh::tet_complex::TetComplex;
+use crate::mesh::tet_store::TetStore;
+use crate::statistics::Statistics;
+
+/// What decides sizes, beside the boundary and the options.
+#[derive(Clone, Copy, Default)]
+pub struct VolumeInput<'a> {
+    /// The host's sizing.
+    pub sizing: Option<&'a Sizing>,
+    /// Surfaces that are only sources of sizes.
+    pub source_surfaces: &'a [&'a SurfaceMesh],
+    /// Largest edge length per label of the complex; labels beyond the end have no limit.
+    pub region_limits: &'a [Option<f64>],
+    /// Vertices of the surface, the first ones of the complex.
+    pub surface_points: usize,
+}
+
+/// Refines and improves a mesh whose boundary is recovered: labels set, boundary faces constrained.
+///
+/// # Errors
+/// Those of [`refine`] and [`improve`].
+pub fn generate_volume(
+    complex: &mut TetComplex,
+    input: &VolumeInput,
+    options: &Options,
+    context: &RunContext,
+) -> Result<Statistics> {
+    let mut sizing = input.sizing.cloned().unwrap_or_default();
+    sizing.sources.extend_from_slice(&options.size_sources);
+    let mut figures = Statistics::default();
+    let free = SizeField::new(&sizing, input.source_surfaces, f64::INFINITY)?;
+    let mut sizes = initial_sizes(complex, &free, options.size_factor)?;
+    let limit = if options.size_limit < 0.0 {
+        f64::INFINITY
+    } else if options.size_limit == 0.0 {
+        sizes.iter().copied().fold(0.0, f64::max)
+    } else {
+        options.size_limit
+    };
+    sizes.iter_mut().for_each(|size| *size = size.min(limit));
+    let limits = input.region_limits.iter().map(|l| l.unwrap_or(f64::INFINITY)).collect();
+    let field = free.with_limits(limit, limits);
+    if options.refine {
+        figures.extend(&refine(complex, &mut sizes, &field, options, context)?);
+    }
+    if options.count_slivers {
+        let slivers = super::quality_improvement::sliver_count(complex, context);
+        figures.set("refinement.slivers", slivers as f64);
+    }
+    figures.extend(&improve(complex, &mut sizes, options, context)?);
+    drop_unused_vertices(complex, input.surface_points);
+    Ok(figures)
+}
+
+/// Moves the last vertices into the numbers that no tet uses, from `first` on.
+pub fn drop_unused_vertices(complex: &mut TetComplex, first: usize) {
+    let count = complex.vertex_count();
+    let is_used = |complex: &TetComplex, v: usize| complex.tet_of(VertexId::from_index(v)) != TetId::NONE;
+    let mut number: Vec<VertexId> = Vec::new();
+    let (mut hole, mut last) = (first, count);
+    loop {
+        while hole < last && is_used(complex, hole) {
+            hole += 1;
+        }
+        while last > hole && !is_used(complex, last - 1) {
+            last -= 1;
+        }
+        if hole >= last {
+            break;
+        }
+        if number.is_empty() {
+            number = (0..count).map(VertexId::from_index).collect();
+        }
+        let (from, to) = (VertexId::from_index(last - 1), VertexId::from_index(hole));
+        complex.set_point(to, complex.point(from));
+        complex.set_tet_of(to, complex.tet_of(from));
+        complex.set_tet_of(from, TetId::NONE);
+        number[from.index()] = to;
+    }
+    if !number.is_empty() {
+        for tet in (0..complex.slot_count()).map(TetId::from_index) {
+            let row = complex.vertices(tet);
+            if complex.is_live(tet) && row.iter().any(|v| !v.is_ghost() && v.index() >= last) {
+                complex.set_vertices(tet, row.map(|v| if v.is_ghost() { v } else { number[v.index()] }));
+            }
+        }
+    }
+    complex.truncate_points(last);
+}
