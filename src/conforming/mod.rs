@@ -5,7 +5,7 @@
 //! 2. `delaunay_kernel`: Delaunay tetrahedralization of the surface's points.
 //! 3. `boundary_recovery`: every edge and facet of the surface becomes an edge and a face of the mesh.
 //! 4. `domain_labels`: outside is removed, regions get their labels.
-//! 5. Refinement and quality improvement, where asked for.
+//! 5. `volume_generation`: refinement and quality improvement, where asked for.
 //!
 //! # Source
 //! [Drakopoulos2017] chapter 4, [Drakopoulos2019].
@@ -55,12 +55,13 @@ use crate::conforming::domain_labels::{Region, label_domain};
 use crate::conforming::input_check::CheckedSurface;
 use crate::conforming::options::{Options, RecoveryMode};
 use crate::conforming::report::Report;
+use crate::conforming::volume_generation::{VolumeInput, generate_volume};
 use crate::context::RunContext;
 use crate::error::{Finding, FindingCode, Result, Severity};
 use crate::index::{Label, VertexId};
 use crate::mesh::mixed_mesh::MixedMesh;
 use crate::mesh::sizing::Sizing;
-use crate::mesh::surface_mesh::SurfaceMesh;
+use crate::mesh::surface_mesh::{PatchRole, SurfaceMesh};
 use crate::mesh::tet_store::TetStore;
 
 /// Meshes the regions that a surface bounds.
@@ -86,7 +87,7 @@ pub fn run(
     context.progress("delaunay", 0.03);
     let mesh = match options.boundary_recovery {
         RecoveryMode::Off => hull_mesh(&checked, options, context, &mut report)?,
-        _ => domain_mesh(surface, &checked, options, context, &mut report)?,
+        _ => domain_mesh((surface, sizing), &checked, options, context, &mut report)?,
     };
     report.total_seconds = start.elapsed().as_secs_f64();
     Ok((mesh, report))
@@ -117,9 +118,17 @@ fn hull_mesh(
     delaunay.complex.to_mixed_mesh(&[0, 1])
 }
 
+/// The facets that are only a source of sizes.
+fn source_facets(surface: &SurfaceMesh) -> Option<SurfaceMesh> {
+    let is_source = |patch: i32| surface.role_of(patch) == PatchRole::Source;
+    let patches = &surface.facet_patches;
+    let facets: Vec<_> = surface.facets.iter().zip(patches).filter(|(_, p)| is_source(**p)).map(|(f, _)| *f).collect();
+    (!facets.is_empty()).then(|| SurfaceMesh::new(surface.points.clone(), facets))
+}
+
 /// The mesh of the regions, with the surface in it.
 fn domain_mesh(
-    surface: &SurfaceMesh,
+    (surface, sizing): (&SurfaceMesh, Option<&Sizing>),
     checked: &CheckedSurface,
     options: &Options,
     context: &RunContext,
@@ -148,7 +157,17 @@ fn domain_mesh(
         let finding = Finding::new(FindingCode::SteinerPoint, Severity::Note, text);
         context.report(finding.with_ids(i64::from(vertex.0), -1).at(mesh.at(vertex).to_array()));
     }
-    let Carved { complex, subfaces, .. } = carve(&mesh, &domain, checked.points.len())?;
+    let Carved { mut complex, subfaces, .. } = carve(&mesh, &domain, checked.points.len())?;
+    drop(mesh);
     let regions: &[Region] = &domain.regions;
+    let source_surface = source_facets(surface);
+    let region_limits: Vec<Option<f64>> = std::iter::once(None).chain(regions.iter().map(|r| r.size)).collect();
+    let input = VolumeInput {
+        sizing,
+        source_surfaces: &source_surface.iter().collect::<Vec<_>>(),
+        region_limits: &region_limits,
+        surface_points: checked.points.len(),
+    };
+    report.refinement = generate_volume(&mut complex, &input, options, context)?;
     finish(&complex, regions, &subfaces, &checked.facets, &checked.facet_patches)
 }

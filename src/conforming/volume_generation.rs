@@ -13,7 +13,9 @@
 
 use super::options::Options;
 use super::quality_improvement::improve;
-use super::refinement::{initial_sizes, refine};
+use super::refinement::{boundary_triangles, initial_sizes, refine};
+use glam::DVec3;
+
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::{TetId, VertexId};
@@ -50,6 +52,10 @@ pub fn generate_volume(
     let mut sizing = input.sizing.cloned().unwrap_or_default();
     sizing.sources.extend_from_slice(&options.size_sources);
     let mut figures = Statistics::default();
+    let mut options = options.clone();
+    // A poor surface needs every flip there is.
+    options.flip_44 |= largest_surface_angle(complex) > options.low_quality_surface_angle;
+    let options = &options;
     let free = SizeField::new(&sizing, input.source_surfaces, f64::INFINITY)?;
     let mut sizes = initial_sizes(complex, &free, options.size_factor)?;
     let limit = if options.size_limit < 0.0 {
@@ -72,6 +78,18 @@ pub fn generate_volume(
     figures.extend(&improve(complex, &mut sizes, options, context)?);
     drop_unused_vertices(complex, input.surface_points);
     Ok(figures)
+}
+
+/// The largest angle in a triangle of the boundary, degrees.
+fn largest_surface_angle(complex: &TetComplex) -> f64 {
+    let angle_at = |at: DVec3, p: DVec3, q: DVec3| (p - at).angle_between(q - at).to_degrees();
+    boundary_triangles(complex)
+        .into_iter()
+        .map(|triangle| {
+            let [a, b, c] = triangle.map(|v| complex.point(v));
+            angle_at(a, b, c).max(angle_at(b, c, a)).max(angle_at(c, a, b))
+        })
+        .fold(0.0, f64::max)
 }
 
 /// Moves the last vertices into the numbers that no tet uses, from `first` on.
