@@ -1,7 +1,7 @@
 # The commands that the README names. Everything lands under target/ and build/; nothing else is written.
 #
 #   make          the library and the command line, optimised
-#   make demo     meshes a real brain atlas and draws it: see target/demo/
+#   make demo     meshes a real brain atlas and draws it: see demo/
 #   make test     installs what is missing and runs every check; the last line counts them
 #   make bench    one CSV row per case
 #   make install  PREFIX=/usr/local
@@ -26,7 +26,6 @@ test: dependencies
 	scripts/run_tests.sh
 
 bench:
-	$(CARGO) build --release --locked
 	scripts/bench.sh
 
 install:

@@ -18,11 +18,13 @@ step() {
     if "$@" > "$logs/$name.log" 2>&1; then
         passed=$((passed + 1))
         echo "ok      $name ($((SECONDS - begin)) s)"
+        return 0
     else
         failed=$((failed + 1))
         failures+=("$name")
         echo "FAILED  $name ($((SECONDS - begin)) s), $logs/$name.log:"
         tail -60 "$logs/$name.log"
+        return 1
     fi
 }
 
@@ -53,11 +55,6 @@ read_ctest() {
     awk '/tests passed,/ { bad = $4; all = $9 } /out of/ { for (i = 1; i < NF; i++) if ($i == "of") all = $(i + 1) }
          END { print all - bad + 0, bad + 0 }' "$1"
 }
-read_pytest() {
-    awk '/(passed|failed|error)/ { g = 0; b = 0; for (i = 2; i <= NF; i++) { if ($i ~ /^passed/) g = $(i - 1);
-         if ($i ~ /^(failed|error)/) b += $(i - 1) } } END { print g + 0, b + 0 }' "$1"
-}
-
 step format cargo fmt --check
 step clippy cargo clippy --locked --all-targets --quiet -- -D warnings
 counted rust read_cargo cargo test --locked --no-fail-fast
@@ -68,11 +65,18 @@ step build cmake --build "$build" -j "$(nproc)"
 counted ctest read_ctest ctest --test-dir "$build" --output-on-failure --no-tests=error
 step abi scripts/check_abi.sh
 
-if compgen -G "tests/python/test_*.py" > /dev/null; then
-    step python scripts/python.sh
-    counted pytest read_pytest env MESHWRIGHT="$CARGO_TARGET_DIR/release/meshwright" \
-        "$CARGO_TARGET_DIR/python/bin/python" -m pytest -q -p no:cacheprovider tests/python
+# Python programs that compare with SimpleITK, meshio, Gmsh and others; each is one check.
+if step python scripts/python.sh; then
+    for script in tests/python/check_*.py; do
+        step "$(basename "$script" .py)" "$CARGO_TARGET_DIR/python/bin/python" "$script" \
+            "$CARGO_TARGET_DIR/release/meshwright"
+    done
 fi
+# Tests of the integrations, where their folder brings a script for it.
+for script in integrations/*/run_tests.sh; do
+    [ ! -x "$script" ] || step "$(basename "$(dirname "$script")")" env \
+        MESHWRIGHT="$CARGO_TARGET_DIR/release/meshwright" PYTHON="$CARGO_TARGET_DIR/python/bin/python" "$script"
+done
 
 echo "in $(((SECONDS - started) / 60)) min $(((SECONDS - started) % 60)) s"
 [ ${#failures[@]} -eq 0 ] || echo "failed: ${failures[*]}"
