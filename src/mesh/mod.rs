@@ -1,6 +1,7 @@
 //! Meshes: the editable tet complex, the finished mixed mesh, surfaces, quality and validation.
 
 pub mod boundary;
+pub mod claimed_tets;
 pub mod mixed_mesh;
 pub mod numbering;
 pub mod quality;

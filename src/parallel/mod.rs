@@ -3,5 +3,10 @@
 //! # Method
 //! Each file holds one protocol and argues its memory ordering; the geometry above knows nothing of threads.
 
+pub mod claim_table;
 pub mod coloring;
+pub mod id_allocator;
 pub mod ordered_reduce;
+pub mod shared_rows;
+pub mod speculative;
+pub mod work_queue;
