@@ -8,6 +8,7 @@
 //! # Invariants
 //! The numbers of [`JobKind`] are part of the C interface: append, never renumber.
 
+pub mod evaluation;
 pub mod image_to_mesh;
 pub mod registration;
 pub mod surface_to_mesh;

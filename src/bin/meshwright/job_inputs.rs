@@ -8,8 +8,8 @@ use meshwright::image::label_image::LabelImage;
 use meshwright::image::voxel_image::VoxelImage;
 use meshwright::mesh::mixed_mesh::{MixedMesh, Space};
 use meshwright::mesh::sizing::Sizing;
-use meshwright::mesh::surface_mesh::SurfaceMesh;
-use meshwright::parameters::{ParameterSet, find};
+use meshwright::mesh::surface_mesh::{Patch, PatchRole, SurfaceMesh};
+use meshwright::parameters::{ParameterSet, Value, find};
 use meshwright::pipeline::registration;
 use meshwright::{Error, Result, io};
 
@@ -23,7 +23,11 @@ fn optional(set: &ParameterSet, name: &str) -> Option<String> {
     find(set.table(), name).ok().and_then(|_| set.text(name))
 }
 
-fn read_labels(path: &str) -> Result<LabelImage> {
+/// The labels of an image file.
+///
+/// # Errors
+/// Those of the reader and of the conversion.
+pub fn read_labels(path: &str) -> Result<LabelImage> {
     let path = Path::new(path);
     io::read_image(path)?.to_label_image().map_err(|error| match error {
         Error::InvalidInput { message, findings } => {
@@ -73,6 +77,24 @@ impl SurfaceInputs {
             None => None,
         };
         Ok(Self { surface, sizing })
+    }
+
+    /// Patches with the roles that the parameters give them.
+    ///
+    /// # Errors
+    /// [`Error::InvalidArgument`] for an unknown role.
+    pub fn patches(&self, set: &ParameterSet) -> Result<Vec<Patch>> {
+        let mut surface = SurfaceMesh { patches: self.surface.patches.clone(), ..SurfaceMesh::default() };
+        for value in set.values("patch-role") {
+            // The engine has refused what has another form.
+            if let Value::Text(text) = value
+                && let Some((patch, role)) = text.split_once('=')
+                && let Ok(id) = patch.trim().parse()
+            {
+                surface.patch_mut(id).role = PatchRole::from_name(role.trim())?;
+            }
+        }
+        Ok(surface.patches)
     }
 }
 

@@ -10,8 +10,9 @@ use std::path::{Path, PathBuf};
 
 use clap::ArgMatches;
 use glam::DVec3;
-use meshwright::io::{SurfaceExport, SurfaceSelection, label_pairs};
+use meshwright::io::{SurfaceExport, SurfaceSelection, WriteOptions, label_pairs};
 use meshwright::mesh::mixed_mesh::{ArrayData, MixedMesh};
+use meshwright::mesh::surface_mesh::Patch;
 use meshwright::parameters::{Kind, ParameterSet};
 use meshwright::pipeline::{JobKind, Output};
 use meshwright::statistics::Statistics;
@@ -27,22 +28,73 @@ const NAMES: [(&str, &str); 4] = [
     ("output-segmentation", "labels"),
 ];
 
-/// Writes every output that was asked for.
-///
-/// # Errors
-/// Those of the writers; [`Error::NoResult`] for an output that the run did not make.
-pub fn write(kind: JobKind, matches: &ArgMatches, set: &ParameterSet, output: &Output) -> Result<()> {
-    for parameter in set.table() {
-        if let Kind::OutputFile { .. } = parameter.kind
-            && let Some(text) = set.text(parameter.name)
-        {
-            write_one(kind, parameter.name, Path::new(&text), matches, output)?;
+/// What is written, and how.
+pub struct Writer<'a> {
+    /// The job.
+    pub kind: JobKind,
+    /// The command line.
+    pub matches: &'a ArgMatches,
+    /// What the job made.
+    pub output: &'a Output,
+    /// Names and roles of the surface's patches.
+    pub patches: Vec<Patch>,
+}
+
+impl Writer<'_> {
+    /// Writes every output that was asked for.
+    ///
+    /// # Errors
+    /// Those of the writers; [`Error::NoResult`] for an output that the run did not make.
+    pub fn write(&self, set: &ParameterSet) -> Result<()> {
+        for parameter in set.table() {
+            if let Kind::OutputFile { .. } = parameter.kind
+                && let Some(text) = set.text(parameter.name)
+            {
+                self.write_one(parameter.name, Path::new(&text))?;
+            }
         }
+        if let Some(path) = arguments::path(self.matches, "output-surface") {
+            write_surfaces(self.matches, path, main_mesh(self.output)?)?;
+        }
+        Ok(())
     }
-    if let Some(path) = arguments::path(matches, "output-surface") {
-        write_surfaces(matches, path, main_mesh(output)?)?;
+
+    fn options(&self, path: &Path) -> Result<WriteOptions> {
+        Ok(WriteOptions { patches: self.patches.clone(), ..arguments::write_options(self.matches, path)? })
     }
-    Ok(())
+
+    fn write_one(&self, name: &str, path: &Path) -> Result<()> {
+        let output = self.output;
+        let main = if self.kind == JobKind::Registration { "output-mesh" } else { "output" };
+        if name == main {
+            return io::write_mesh(main_mesh(output)?, path, &self.options(path)?);
+        }
+        match name {
+            "output-blocks" => return write_blocks(output, path),
+            "output-transform" => return write_transform(output, path),
+            _ => {}
+        }
+        let wanted = NAMES
+            .iter()
+            .find(|(row, _)| *row == name)
+            .map_or_else(|| name.trim_start_matches("output-").replace('-', "_"), |(_, n)| (*n).to_owned());
+        let same = |n: &str| n.replace('-', "_").trim_start_matches("output_") == wanted;
+        if let Some((_, image)) = output.images.iter().find(|(n, _)| same(n)) {
+            return io::write_image(image, path);
+        }
+        if let Some((_, mesh)) = output.meshes.iter().find(|(n, _)| same(n)) {
+            let options = self.options(path)?;
+            if mesh.element_count() == 0 && !mesh.boundary.labels.is_empty() {
+                return io::write_surface_export(&SurfaceExport::of_mesh(mesh, SurfaceSelection::All)?, path, &options);
+            }
+            return io::write_mesh(mesh, path, &options);
+        }
+        if let Some((_, points)) = output.points.iter().find(|(n, _)| same(n)) {
+            let cloud = MixedMesh { points: points.clone(), offsets: vec![0], ..MixedMesh::default() };
+            return io::write_mesh(&cloud, path, &self.options(path)?);
+        }
+        Err(missing(&wanted.replace('_', " ")))
+    }
 }
 
 fn main_mesh(output: &Output) -> Result<&MixedMesh> {
@@ -51,38 +103,6 @@ fn main_mesh(output: &Output) -> Result<&MixedMesh> {
 
 fn missing(name: &str) -> Error {
     Error::NoResult { message: format!("this run made no {name}"), findings: Vec::new() }
-}
-
-fn write_one(kind: JobKind, name: &str, path: &Path, matches: &ArgMatches, output: &Output) -> Result<()> {
-    let main = if kind == JobKind::Registration { "output-mesh" } else { "output" };
-    if name == main {
-        return io::write_mesh(main_mesh(output)?, path, &arguments::write_options(matches, path)?);
-    }
-    match name {
-        "output-blocks" => return write_blocks(output, path),
-        "output-transform" => return write_transform(output, path),
-        _ => {}
-    }
-    let wanted = NAMES
-        .iter()
-        .find(|(row, _)| *row == name)
-        .map_or_else(|| name.trim_start_matches("output-").replace('-', "_"), |(_, n)| (*n).to_owned());
-    let same = |n: &str| n.replace('-', "_").trim_start_matches("output_") == wanted;
-    if let Some((_, image)) = output.images.iter().find(|(n, _)| same(n)) {
-        return io::write_image(image, path);
-    }
-    if let Some((_, mesh)) = output.meshes.iter().find(|(n, _)| same(n)) {
-        let options = arguments::write_options(matches, path)?;
-        if mesh.element_count() == 0 && !mesh.boundary.labels.is_empty() {
-            return io::write_surface_export(&SurfaceExport::of_mesh(mesh, SurfaceSelection::All)?, path, &options);
-        }
-        return io::write_mesh(mesh, path, &options);
-    }
-    if let Some((_, points)) = output.points.iter().find(|(n, _)| same(n)) {
-        let cloud = MixedMesh { points: points.clone(), offsets: vec![0], ..MixedMesh::default() };
-        return io::write_mesh(&cloud, path, &arguments::write_options(matches, path)?);
-    }
-    Err(missing(&wanted.replace('_', " ")))
 }
 
 /// One file, or one per label or pair of labels with the labels in its name.
@@ -113,7 +133,7 @@ fn write_surfaces(matches: &ArgMatches, path: &Path, mesh: &MixedMesh) -> Result
 }
 
 /// Values of a named array as reals.
-fn array<'a>(output: &'a Output, name: &str) -> Option<Vec<f64>> {
+fn array(output: &Output, name: &str) -> Option<Vec<f64>> {
     output.arrays.iter().find(|a| a.name == name).map(|a| match &a.data {
         ArrayData::Real(values) => values.clone(),
         ArrayData::Int(values) => values.iter().map(|&v| f64::from(v)).collect(),
@@ -167,7 +187,7 @@ pub const RETURN_PARAMETERS: [(&str, &str); 4] = [
 ///
 /// # Errors
 /// [`Error::Io`].
-pub fn write_return_parameters(_kind: JobKind, statistics: &Statistics, path: &Path) -> Result<()> {
+pub fn write_return_parameters(statistics: &Statistics, path: &Path) -> Result<()> {
     let mut text = String::new();
     for (name, figure) in RETURN_PARAMETERS {
         if let Some(value) = statistics.value(figure) {

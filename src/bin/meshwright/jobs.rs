@@ -12,6 +12,7 @@ use std::time::Instant;
 
 use clap::ArgMatches;
 use meshwright::context::{CancelToken, RunContext, WorkerPool};
+use meshwright::mesh::surface_mesh::Patch;
 use meshwright::parameters::{Kind, ParameterSet};
 use meshwright::pipeline::{JobKind, Output, image_to_mesh, registration, surface_to_mesh};
 use meshwright::statistics::Statistics;
@@ -41,7 +42,7 @@ pub fn run(kind: JobKind, matches: &ArgMatches) -> Result<()> {
     let mut progress = Progress::new(kind.name(), arguments::is_given(matches, "slicer-progress"), quiet);
     let mut statistics = Statistics::default();
     let result = run_pipeline(kind, &set, &context, &mut progress, &mut statistics)
-        .and_then(|output| finish(kind, matches, &set, output, &mut statistics));
+        .and_then(|(output, patches)| finish(matches, &set, kind, (&output, patches), &mut statistics));
     progress.finish();
     statistics.set("time.total", begin.elapsed().as_secs_f64());
     statistics.set("threads", context.threads() as f64);
@@ -66,7 +67,7 @@ pub fn run(kind: JobKind, matches: &ArgMatches) -> Result<()> {
     }
     let summary = result?;
     if let Some(path) = arguments::path(matches, "returnparameterfile") {
-        job_outputs::write_return_parameters(kind, &statistics, path)?;
+        job_outputs::write_return_parameters(&statistics, path)?;
     }
     if !quiet {
         report::show_findings(&findings);
@@ -108,8 +109,9 @@ fn run_pipeline(
     context: &RunContext,
     progress: &mut Progress,
     statistics: &mut Statistics,
-) -> Result<Output> {
+) -> Result<(Output, Vec<Patch>)> {
     let begin = Instant::now();
+    let mut patches = Vec::new();
     let mut tick = |stage: &'static str, fraction: f64| {
         progress.show(stage, fraction);
         ControlFlow::Continue(())
@@ -124,6 +126,7 @@ fn run_pipeline(
         JobKind::SurfaceToMesh => {
             let inputs = job_inputs::SurfaceInputs::read(set)?;
             statistics.set("time.read", begin.elapsed().as_secs_f64());
+            patches = inputs.patches(set)?;
             let input = surface_to_mesh::Input { surface: &inputs.surface, sizing: inputs.sizing.as_ref() };
             context.run(&mut tick, |context| surface_to_mesh::run(&input, set, context))?
         }
@@ -134,15 +137,15 @@ fn run_pipeline(
         }
     };
     statistics.extend(&output.statistics);
-    Ok(output)
+    Ok((output, patches))
 }
 
 /// Writes the outputs; returns the line that says what was made.
 fn finish(
-    kind: JobKind,
     matches: &ArgMatches,
     set: &ParameterSet,
-    output: Output,
+    kind: JobKind,
+    (output, patches): (&Output, Vec<Patch>),
     statistics: &mut Statistics,
 ) -> Result<String> {
     let begin = Instant::now();
@@ -150,9 +153,9 @@ fn finish(
         statistics.set("mesh.points", mesh.points.len() as f64);
         statistics.set("mesh.elements", mesh.element_count() as f64);
     }
-    job_outputs::write(kind, matches, set, &output)?;
+    job_outputs::Writer { kind, matches, output, patches }.write(set)?;
     statistics.set("time.write", begin.elapsed().as_secs_f64());
-    Ok(job_outputs::summary(kind, &output, statistics))
+    Ok(job_outputs::summary(kind, output, statistics))
 }
 
 /// Peak memory and processor time of the process, where the system tells them.

@@ -1,16 +1,15 @@
 //! `meshwright quality MESH`: angles, shapes, volumes per label; with an image or a surface also the distance to it.
 
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use clap::ArgMatches;
-use glam::DVec3;
 use meshwright::context::RunContext;
-use meshwright::mesh::boundary::faces_of;
-use meshwright::mesh::mixed_mesh::MixedMesh;
 use meshwright::mesh::quality::mesh_quality;
 use meshwright::mesh::validation::check_mixed_mesh;
+use meshwright::pipeline::evaluation;
 use meshwright::statistics::Statistics;
-use meshwright::{Error, Result};
+use meshwright::{Error, Result, io};
 use serde_json::{Value, json};
 
 use crate::{arguments, job_inputs, report};
@@ -30,7 +29,16 @@ pub fn run(matches: &ArgMatches) -> Result<()> {
     figures.set("mesh.points", mesh.points.len() as f64);
     figures.set("mesh.elements", mesh.element_count() as f64);
     figures.extend(&mesh_quality(&mesh, &context).statistics());
-    add_label_figures(&mesh, &mut figures);
+    figures.extend(&evaluation::label_figures(&mesh));
+    if let Some(image) = arguments::path(matches, "image") {
+        let labels = job_inputs::read_labels(&image.to_string_lossy())?;
+        let compared = context
+            .run(|_, _| ControlFlow::Continue(()), |context| evaluation::compare_with_image(&mesh, &labels, context))?;
+        figures.extend(&compared);
+    }
+    if let Some(surface) = arguments::path(matches, "surface") {
+        figures.extend(&evaluation::compare_with_surface(&mesh, &io::read_surface(surface)?));
+    }
     let fault = check_mixed_mesh(&mesh).err().map(|violation| violation.to_string());
     match arguments::path(matches, "json") {
         Some(target) => {
@@ -44,40 +52,6 @@ pub fn run(matches: &ArgMatches) -> Result<()> {
         }
         None => report::print(&as_text(path, &figures, fault.as_deref())),
     }
-}
-
-/// Elements and volume per label.
-fn add_label_figures(mesh: &MixedMesh, figures: &mut Statistics) {
-    let mut labels = std::collections::BTreeMap::new();
-    for element in 0..mesh.element_count() {
-        let entry = labels.entry(mesh.labels[element]).or_insert((0u64, 0.0f64));
-        entry.0 += 1;
-        entry.1 += element_volume(mesh, element);
-    }
-    for (label, (count, volume)) in labels {
-        figures.set(format!("label.{label}.elements"), count as f64);
-        figures.set(format!("label.{label}.volume"), volume);
-    }
-}
-
-/// Volume of an element: the cones from its first corner over its faces, a quadrilateral as the mean of its two cuts.
-fn element_volume(mesh: &MixedMesh, element: usize) -> f64 {
-    let (kind, vertices) = mesh.element(element);
-    let apex = mesh.points[vertices[0].index()];
-    let cone = |a: DVec3, b: DVec3, c: DVec3| (a - apex).dot((b - apex).cross(c - apex)) / 6.0;
-    let at = |corner: usize| mesh.points[vertices[corner].index()];
-    faces_of(kind)
-        .iter()
-        .map(|face| match **face {
-            [a, b, c] => cone(at(a), at(b), at(c)),
-            [a, b, c, d] => {
-                let cut = cone(at(a), at(b), at(c)) + cone(at(a), at(c), at(d));
-                let other = cone(at(b), at(c), at(d)) + cone(at(b), at(d), at(a));
-                (cut + other) / 2.0
-            }
-            _ => 0.0,
-        })
-        .sum()
 }
 
 fn as_text(path: &Path, figures: &Statistics, fault: Option<&str>) -> String {
