@@ -12,7 +12,8 @@ const NAMES: [&str; 6] = ["a.nii", "b.nii.gz", "c.nrrd", "d.nhdr", "e.mha", "f.m
 
 fn grid() -> Grid {
     // Oblique and left-handed.
-    let direction = DMat3::from_rotation_x(0.4) * DMat3::from_rotation_z(-1.1) * DMat3::from_diagonal(DVec3::new(1., -1., 1.));
+    let direction =
+        DMat3::from_rotation_x(0.4) * DMat3::from_rotation_z(-1.1) * DMat3::from_diagonal(DVec3::new(1., -1., 1.));
     Grid::new([3, 4, 5], DVec3::new(0.5, 1.25, 2.0), DVec3::new(-10.0, 20.5, 3.0), direction).unwrap()
 }
 
@@ -156,7 +157,11 @@ fn bad_nrrd_and_metaimage_are_refused() {
     refused(&nrrd, &head(&format!("{ok}sizes: 1 2 5\nspacings: 1 0 1")), "spacing");
     refused(&nrrd, &head(&format!("{ok}sizes: 1 2 5\nspacings: 1 nan 1")), "spacing");
     refused(&nrrd, &head(&format!("{ok}sizes: 1 2 5\nspacings: 1 -2 1")), "spacing");
-    refused(&nrrd, &head(&format!("{ok}sizes: 1 2 5\nspace: LPS\nspace directions: (1,0,0) (1,0,0) (0,0,1)")), "singular");
+    refused(
+        &nrrd,
+        &head(&format!("{ok}sizes: 1 2 5\nspace: LPS\nspace directions: (1,0,0) (1,0,0) (0,0,1)")),
+        "singular",
+    );
     refused(&nrrd, &head(&format!("{ok}sizes: 1 2 5\nspace: XYZ\nspace directions: (1,0,0) (0,1,0) (0,0,1)")), "space");
     refused(&nrrd, &head("type: uint8\ndimension: 3\nencoding: bzip2\nsizes: 1 2 5"), "encoding");
     let meta = folder.path().join("a.mha");

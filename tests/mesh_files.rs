@@ -30,7 +30,16 @@ const SURFACE: [&str; 6] = ["a.off", "b.obj", "c.stl", "d.ply", "e.vtp", "f.surf
 
 /// Two labels: tets, a pyramid, a wedge and a hexahedron, apart from one another.
 fn mixed_mesh() -> MixedMesh {
-    let unit = [(0., 0., 0.), (1., 0., 0.), (1., 1., 0.), (0., 1., 0.), (0., 0., 1.), (1., 0., 1.), (1., 1., 1.), (0., 1., 1.)];
+    let unit = [
+        (0., 0., 0.),
+        (1., 0., 0.),
+        (1., 1., 0.),
+        (0., 1., 0.),
+        (0., 0., 1.),
+        (1., 0., 1.),
+        (1., 1., 1.),
+        (0., 1., 1.),
+    ];
     let mut points = Vec::new();
     for copy in 0..4 {
         points.extend(unit.map(|(x, y, z)| DVec3::new(x + 2.1 * f64::from(copy), y / 3.0, z * 1e-3 + 1e6)));
