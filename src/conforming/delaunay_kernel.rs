@@ -226,7 +226,6 @@ impl<'a> Kernel<'a> {
             let end = self.round_ends[round];
             if threads > 1 && end - begin >= delaunay_parallel::SMALLEST_ROUND * threads {
                 delaunay_parallel::insert_round(self, begin..end, threads, report)?;
-                self.hint = self.any_tet();
             } else {
                 self.insert_range(begin, end)?;
             }
@@ -264,9 +263,10 @@ impl<'a> Kernel<'a> {
         Ok(())
     }
 
-    pub fn any_tet(&self) -> TetId {
+    /// Walks start anew from some live tet: others have changed the mesh.
+    pub fn restart(&mut self) {
         let slot = (0..self.rows.slots()).find(|&s| !self.rows.is_free(s));
-        TetId::from_index(slot.expect("a kernel that was started has tets"))
+        self.hint = TetId::from_index(slot.expect("a kernel that was started has tets"));
     }
 }
 

@@ -165,3 +165,21 @@ fn cancellation_ends_the_run() {
     let error = tetrahedralize(&random_points(5000, 1), &DelaunayOptions::default(), &context).unwrap_err();
     assert!(matches!(error, Error::Cancelled));
 }
+
+#[test]
+fn any_number_of_threads_makes_the_same_tets() {
+    let mut doubled = random_points(15_000, 21);
+    doubled.extend_from_within(..5_000);
+    let cases = [random_points(30_000, 20), sphere_points(12_000, 22), grid_points(27, 0.1), doubled];
+    for (i, points) in cases.iter().enumerate() {
+        let alone = checked(points, PointOrder::Spatial);
+        for threads in [2, 5] {
+            let options = DelaunayOptions { order: PointOrder::Spatial, seed: 3 };
+            let result = tetrahedralize(points, &options, &context(threads)).unwrap();
+            result.complex.check_invariants().unwrap();
+            assert!(threads > 2 || result.report.threads == 2);
+            assert!(tet_set(&result.complex) == tet_set(&alone.complex), "case {i}, {threads} threads");
+            assert_eq!(result.duplicates, alone.duplicates);
+        }
+    }
+}
