@@ -7,6 +7,7 @@ pub mod gradient;
 pub mod grid;
 pub mod interpolation;
 pub mod label_image;
+pub mod morphology;
 pub mod resample;
 pub mod scalar_image;
 pub mod vector_image;

@@ -22,18 +22,18 @@ use crate::lattice::bcc_lattice::{Field, LatticeFrame};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
 use crate::lattice::face_adjacency::neighbors_of;
+use crate::lattice::mixed_elements::{self, MixedElements};
 use crate::lattice::options::Options;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::report::Report;
 use crate::lattice::subdivision_criteria::{Deficit, Targets, finest_level, mark_leaves};
 use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, count_voxels, mismatches};
 
-use crate::index::VertexId;
-
 /// Progress of the whole run when refinement begins and ends.
 const PROGRESS: (f64, f64) = (0.1, 0.6);
 
 /// What refinement works with.
+#[derive(Clone, Copy)]
 pub struct RefinementInput<'a> {
     /// The cleaned segmentation, internal labels.
     pub image: &'a LabelImage,
@@ -68,7 +68,14 @@ pub fn refine(
     let elements = rounds.run(&mut lattice)?;
     report.set("lattice.level", f64::from(lattice.deepest_level()));
     report.set("lattice.spacing", input.spacing);
-    Ok(report.timed("compaction", || compact(&lattice, &elements)))
+    let mut merged = MixedElements::default();
+    if options.mixed_elements {
+        let limit = options.max_surface_triangles_on_pyramid;
+        merged = report.timed("mixed_elements", || mixed_elements::merge(&lattice, &elements, limit, |_| false))?;
+        report.set("mesh.hexahedra", merged.hexahedra.len() as f64);
+        report.set("mesh.pyramids", merged.pyramids.len() as f64);
+    }
+    Ok(report.timed("compaction", || mixed_elements::compact(&lattice, &elements, &merged)))
 }
 
 struct Rounds<'a> {
@@ -194,29 +201,4 @@ impl Rounds<'_> {
 /// Whether a label lacks fidelity after the relabelling that had it before.
 fn worse(after: &Deficit, before: &Deficit) -> bool {
     after.lacking.iter().zip(&before.lacking).any(|(a, b)| *a && !*b)
-}
-
-/// The labelled elements with their vertices renumbered in the order of first use.
-fn compact(lattice: &RedGreenLattice, elements: &Elements) -> CandidateMesh {
-    let labelled = elements.labels.iter().filter(|l| !l.is_background()).count();
-    let mut mesh = CandidateMesh {
-        tets: Vec::with_capacity(labelled),
-        tet_labels: Vec::with_capacity(labelled),
-        ..CandidateMesh::default()
-    };
-    let mut renumbered = vec![u32::MAX; lattice.vertices.positions.len()];
-    for (tet, label) in elements.tets.iter().zip(&elements.labels) {
-        if label.is_background() {
-            continue;
-        }
-        mesh.tets.push(tet.map(|v| {
-            if renumbered[v as usize] == u32::MAX {
-                renumbered[v as usize] = mesh.points.len() as u32;
-                mesh.points.push(lattice.frame.local(lattice.vertices.positions[v as usize]));
-            }
-            VertexId(renumbered[v as usize])
-        }));
-        mesh.tet_labels.push(*label);
-    }
-    mesh
 }

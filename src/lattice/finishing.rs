@@ -153,6 +153,29 @@ fn boundary_of_mixed(mesh: &MixedMesh) -> Result<BoundaryFaces> {
     Ok(boundary)
 }
 
+/// The boundary of a mesh as a mesh without elements: its points and its labelled faces.
+///
+/// # Errors
+/// As [`MixedMesh::check_shape`].
+pub fn surface_of(mesh: &MixedMesh) -> Result<MixedMesh> {
+    let mut surface = MixedMesh { offsets: vec![0], space: mesh.space, ..MixedMesh::default() };
+    let mut renumbered = vec![u32::MAX; mesh.points.len()];
+    let mut number = |v: VertexId| {
+        if renumbered[v.index()] == u32::MAX {
+            renumbered[v.index()] = surface.points.len() as u32;
+            surface.points.push(mesh.points[v.index()]);
+        }
+        VertexId(renumbered[v.index()])
+    };
+    let triangles = mesh.boundary.triangles.iter().map(|t| t.map(&mut number)).collect();
+    let quads = mesh.boundary.quads.iter().map(|q| q.map(&mut number)).collect();
+    let labels = mesh.boundary.labels.clone();
+    let elements = vec![[-1, -1]; labels.len()];
+    surface.boundary = BoundaryFaces { triangles, quads, labels, elements, patches: Vec::new() };
+    surface.check_shape()?;
+    Ok(surface)
+}
+
 /// Turns 4-node tets into 10-node tets with straight edges; the boundary keeps its corner triangles.
 ///
 /// # Errors

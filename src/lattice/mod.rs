@@ -20,11 +20,13 @@ pub mod bcc_lattice;
 pub mod boundary_targets;
 pub mod candidate_mesh;
 pub mod element_labels;
+pub mod evaluation;
 pub mod face_adjacency;
 pub mod finishing;
 pub mod improvement_mesh;
 pub mod lattice_improvement;
 pub mod local_transformations;
+pub mod mixed_elements;
 pub mod options;
 pub mod red_green;
 pub mod red_green_tables;
@@ -35,17 +37,22 @@ pub mod subvoxel_surface;
 pub mod surface_deformation;
 pub mod untangling;
 pub mod vertex_optimization;
+pub mod voxel_cleanup;
 pub mod voxel_fidelity;
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use glam::DVec3;
 
 use crate::context::RunContext;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::image::label_image::LabelImage;
-use crate::image::voxel_image::VoxelImage;
+use crate::image::voxel_image::{VoxelData, VoxelImage};
 use crate::mesh::mixed_mesh::MixedMesh;
+
+use adaptive_refinement::RefinementInput;
+use subdivision_criteria::Targets;
+use voxel_cleanup::CleanImage;
 
 pub use candidate_mesh::CandidateMesh;
 pub use options::{Options, PARAMETERS, ShapeFunctions};
@@ -56,6 +63,12 @@ const DEFAULT_SPACING: f64 = 8.0;
 
 /// Without a given spacing the longest side of the image holds at least this many cubes.
 const CUBES_ALONG_IMAGE: f64 = 8.0;
+
+/// Lattice spacings tried for a wanted number of vertices; each halves the bracket.
+const SPACING_TRIES: usize = 7;
+
+/// A number of vertices within 5 % of the wanted one is taken (difference of logarithms).
+const TARGET_TOLERANCE: f64 = 0.05;
 
 /// What the engine hands back.
 #[derive(Debug, Clone, Default)]
@@ -82,34 +95,140 @@ pub fn run(image: &LabelImage, options: &Options, context: &RunContext) -> Resul
     context.install(|| mesh_image(image, options, context))
 }
 
-fn mesh_image(image: &LabelImage, options: &Options, context: &RunContext) -> Result<(Output, Report)> {
+fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) -> Result<(Output, Report)> {
+    let begin = Instant::now();
     let mut report = Report::default();
-    let values = image.values().to_vec();
-    let targets = subdivision_criteria::Targets::new(&values, options)?;
-    let input = adaptive_refinement::RefinementInput {
-        image,
-        values: &values,
-        targets: &targets,
-        spacing: options.lattice_spacing.unwrap_or_else(|| adapted_spacing(image)),
-    };
-    let mut candidate = adaptive_refinement::refine(&input, options, &mut report, context)?;
+    check_labels(original, options)?;
+    context.progress("clean-up", 0.0);
+    let clean = report.timed("cleanup", || Ok::<_, Error>(voxel_cleanup::clean(original, options, context)?))?;
+    let CleanImage { image, values, figures } = clean;
+    report.merge(&figures);
+    let targets = Targets::new(&values, options)?;
+    let input = RefinementInput { image: &image, values: &values, targets: &targets, spacing: 0.0 };
+    let mut candidate = candidate_of(&input, options, &mut report, context)?;
+    let mut output = Output::default();
+    let finish = |candidate: &CandidateMesh| finishing::to_world(candidate, image.grid(), &values);
+    if options.keep_bcc_mesh {
+        output.meshes.push(("bcc_mesh".into(), finish(&candidate)?));
+    }
+    if options.keep_bcc_surface {
+        output.meshes.push(("bcc_surface".into(), finishing::surface_of(&finish(&candidate)?)?));
+    }
     if options.smoothing_iterations > 0 {
-        smoothing::smooth(&mut candidate, image, &values, options, &mut report, context)?;
+        let points = smoothing::smooth(&mut candidate, &image, &values, options, &mut report, context)?;
+        smoothing_outputs(points, &image, options, &mut output);
     }
     context.progress("finishing", 0.95);
-    let mut mesh = report.timed("finishing", || finishing::to_world(&candidate, image.grid(), &values))?;
+    let mut mesh = report.timed("finishing", || finish(&candidate))?;
+    if options.keep_smooth_mesh {
+        output.meshes.push(("smooth_mesh".into(), mesh.clone()));
+    }
+    if options.keep_smooth_surface {
+        output.meshes.push(("smooth_surface".into(), finishing::surface_of(&mesh)?));
+    }
+    drop(candidate);
+    evaluate(&mesh, original, options, &mut report, context)?;
     if options.shape_functions == ShapeFunctions::Quadratic {
         report.timed("quadratic", || finishing::make_quadratic(&mut mesh))?;
     }
-    report.set("mesh.tets", candidate.tets.len() as f64);
+    report.set("mesh.tets", mesh.types.iter().filter(|t| matches!(**t, 10 | 24)).count() as f64);
     report.set("mesh.points", mesh.points.len() as f64);
     report.set("mesh.elements", mesh.element_count() as f64);
-    Ok((Output { mesh, ..Output::default() }, report))
+    report.set("time.total", begin.elapsed().as_secs_f64());
+    output.mesh = mesh;
+    Ok((output, report))
+}
+
+/// Options for labels that the caller's image does not have are refused.
+fn check_labels(image: &LabelImage, options: &Options) -> Result<()> {
+    Targets::new(image.values(), options).map(|_| ())
+}
+
+fn smoothing_outputs(points: smoothing::SmoothingPoints, image: &LabelImage, options: &Options, output: &mut Output) {
+    let grid = image.grid();
+    if options.keep_target_image {
+        let mut marks = vec![0u8; grid.voxel_count()];
+        points.targets.iter().for_each(|[i, j, k]| marks[grid.offset(*i, *j, *k)] = 1);
+        let image = VoxelImage { grid: *grid, components: 1, data: VoxelData::U8(marks) };
+        output.images.push(("target_points".into(), image));
+    }
+    if options.keep_source_points {
+        let sources = points.sources.iter().map(|p| grid.local_to_world(*p)).collect();
+        output.points.push(("source_points".into(), sources));
+    }
+    if options.keep_target_points {
+        let center = |voxel: &[usize; 3]| grid.index_to_world(DVec3::from_array(voxel.map(|v| v as f64)));
+        output.points.push(("target_points".into(), points.targets.iter().map(center).collect()));
+    }
+}
+
+fn evaluate(
+    mesh: &MixedMesh,
+    image: &LabelImage,
+    options: &Options,
+    report: &mut Report,
+    context: &RunContext,
+) -> Result<()> {
+    if options.evaluate_quality {
+        report.merge(&evaluation::evaluate_quality(mesh, context));
+    }
+    if options.evaluate_volume {
+        report.merge(&evaluation::evaluate_volume(mesh, image));
+    }
+    if options.evaluate_fidelity {
+        report.merge(&evaluation::evaluate_fidelity(mesh, image, context)?);
+    }
+    Ok(())
+}
+
+/// The mesh before smoothing, with the spacing that the options ask for.
+fn candidate_of(
+    input: &RefinementInput,
+    options: &Options,
+    report: &mut Report,
+    context: &RunContext,
+) -> Result<CandidateMesh> {
+    let spacing = options.lattice_spacing.unwrap_or_else(|| adapted_spacing(input.image));
+    let refine = |spacing: f64, report: &mut Report| {
+        adaptive_refinement::refine(&RefinementInput { spacing, ..*input }, options, report, context)
+    };
+    let Some(wanted) = options.target_vertices else { return refine(spacing, report) };
+    // The number of vertices falls with some power of the spacing, in steps where a level comes or goes: a bracket in
+    // the logarithm of the spacing, at most SPACING_TRIES times, keeping the nearest.
+    let (mut low, mut high) = (f64::NAN, f64::NAN);
+    let mut spacing = spacing;
+    let mut best: Option<(f64, CandidateMesh)> = None;
+    for _ in 0..SPACING_TRIES {
+        let mut tried = Report::default();
+        let candidate = refine(spacing, &mut tried)?;
+        let ratio = candidate.points.len() as f64 / wanted as f64;
+        let off = ratio.ln().abs();
+        if ratio > 1.0 {
+            low = spacing
+        } else {
+            high = spacing
+        }
+        if best.as_ref().is_none_or(|(o, _)| off < *o) {
+            best = Some((off, candidate));
+            report.merge(&tried.statistics());
+        }
+        if off < TARGET_TOLERANCE {
+            break;
+        }
+        spacing = match (low.is_nan(), high.is_nan()) {
+            (false, false) => (low * high).sqrt(),
+            _ => (spacing * ratio.cbrt().clamp(0.25, 4.0)).min(longest_side(input.image)),
+        };
+    }
+    best.map(|(_, candidate)| candidate).ok_or_else(|| Error::Internal { reason: "no spacing was tried".into() })
+}
+
+fn longest_side(image: &LabelImage) -> f64 {
+    let grid = image.grid();
+    (DVec3::from_array(grid.size().map(|s| s as f64)) * grid.spacing()).max_element()
 }
 
 /// The thesis's spacing, smaller for small images.
 fn adapted_spacing(image: &LabelImage) -> f64 {
-    let grid = image.grid();
-    let size = DVec3::from_array(grid.size().map(|s| s as f64)) * grid.spacing();
-    DEFAULT_SPACING.min(size.max_element() / CUBES_ALONG_IMAGE)
+    DEFAULT_SPACING.min(longest_side(image) / CUBES_ALONG_IMAGE)
 }

@@ -30,6 +30,11 @@ impl Report {
         result
     }
 
+    /// Takes over figures made elsewhere.
+    pub fn merge(&mut self, figures: &Statistics) {
+        self.statistics.extend(figures);
+    }
+
     /// All figures.
     pub fn statistics(&self) -> Statistics {
         self.statistics.clone()

@@ -2,6 +2,7 @@
 
 pub mod boundary;
 pub mod claimed_tets;
+pub mod fidelity;
 pub mod mixed_mesh;
 pub mod numbering;
 pub mod quality;

@@ -1,0 +1,85 @@
+//! Clean-up of the segmentation before the lattice sees it, and the way back to the caller's labels.
+//!
+//! # Method
+//! Up-sampling, isolated voxels, small regions, contacts, then a label of its own for each region where asked for; the
+//! operations are those of `image::morphology`. Every change is a finding with the label and the number of voxels.
+//!
+//! # Source
+//! [Drakopoulos2017] 2.3.2.
+
+use std::borrow::Cow;
+
+use crate::context::RunContext;
+use crate::error::{Finding, FindingCode, Result, Severity};
+use crate::image::label_image::LabelImage;
+use crate::image::morphology::{
+    IsolatedKind, relabel_isolated, remove_contacts, remove_small_regions, separate_regions, upsample,
+};
+use crate::lattice::options::{IsolatedVoxels, Options};
+use crate::lattice::report::Report;
+use crate::statistics::Statistics;
+
+/// The segmentation that is meshed.
+pub struct CleanImage<'a> {
+    /// Internal labels.
+    pub image: Cow<'a, LabelImage>,
+    /// The caller's value of each internal label.
+    pub values: Vec<i32>,
+    /// What was changed.
+    pub figures: Statistics,
+}
+
+/// Cleans a segmentation as the options say.
+///
+/// # Errors
+/// [`crate::Error::CapacityExceeded`] for too many regions, [`crate::Error::InvalidArgument`] for an image that
+/// up-sampling makes too large.
+pub fn clean<'a>(image: &'a LabelImage, options: &Options, context: &RunContext) -> Result<CleanImage<'a>> {
+    let mut report = Report::default();
+    let mut clean = Cow::Borrowed(image);
+    if options.upsampling > 1 {
+        clean = Cow::Owned(upsample(image, options.upsampling)?);
+    }
+    let kinds: &[IsolatedKind] = match options.isolated_voxels {
+        IsolatedVoxels::Keep => &[],
+        IsolatedVoxels::Background => &[IsolatedKind::Background],
+        IsolatedVoxels::Foreground => &[IsolatedKind::Foreground],
+        IsolatedVoxels::Both => &[IsolatedKind::Background, IsolatedKind::Foreground],
+    };
+    for kind in kinds {
+        let changed = relabel_isolated(clean.to_mut(), *kind);
+        tell(&changed, image, "isolated voxels", "cleanup.isolated", &mut report, context);
+    }
+    if let Some(threshold) = options.image_region_threshold {
+        let changed = remove_small_regions(clean.to_mut(), threshold);
+        tell(&changed, image, "voxels of small regions", "cleanup.small_regions", &mut report, context);
+    }
+    context.check()?;
+    if options.check_image_topology {
+        let changed = remove_contacts(clean.to_mut(), options.seed);
+        report.set("cleanup.contacts", changed as f64);
+        if changed > 0 {
+            let text = format!("{changed} voxels were relabelled to remove contacts at edges and corners");
+            let finding = Finding::new(FindingCode::VoxelsRelabelled, Severity::Note, text);
+            context.report(finding.with_ids(-1, changed as i64));
+        }
+    }
+    let values = clean.values().to_vec();
+    if !options.separate_regions {
+        return Ok(CleanImage { image: clean, values, figures: report.statistics() });
+    }
+    let (regions, originals) = separate_regions(&clean)?;
+    report.set("cleanup.regions", (originals.len() - 1) as f64);
+    let values = originals.iter().map(|l| values[l.index()]).collect();
+    Ok(CleanImage { image: Cow::Owned(regions), values, figures: report.statistics() })
+}
+
+fn tell(changed: &[u64], image: &LabelImage, what: &str, name: &str, report: &mut Report, context: &RunContext) {
+    report.add(name, changed.iter().sum::<u64>() as f64);
+    for (label, count) in changed.iter().enumerate().filter(|(_, count)| **count > 0) {
+        let value = image.values()[label];
+        let text = format!("{count} {what} of label {value} were relabelled");
+        let finding = Finding::new(FindingCode::VoxelsRelabelled, Severity::Note, text);
+        context.report(finding.with_ids(i64::from(value), *count as i64));
+    }
+}
