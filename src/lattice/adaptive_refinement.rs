@@ -22,7 +22,7 @@ use crate::lattice::bcc_lattice::{Field, LatticeFrame};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
 use crate::lattice::face_adjacency::neighbors_of;
-use crate::lattice::mixed_elements::{self, MixedElements};
+use crate::lattice::mixed_elements;
 use crate::lattice::options::Options;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::report::Report;
@@ -68,14 +68,12 @@ pub fn refine(
     let elements = rounds.run(&mut lattice)?;
     report.set("lattice.level", f64::from(lattice.deepest_level()));
     report.set("lattice.spacing", input.spacing);
-    let mut merged = MixedElements::default();
+    let mut cubes = Vec::new();
     if options.mixed_elements {
         let limit = options.max_surface_triangles_on_pyramid;
-        merged = report.timed("mixed_elements", || mixed_elements::merge(&lattice, &elements, limit, |_| false))?;
-        report.set("mesh.hexahedra", merged.hexahedra.len() as f64);
-        report.set("mesh.pyramids", merged.pyramids.len() as f64);
+        cubes = report.timed("mixed_elements", || mixed_elements::find_cubes(&lattice, &elements, limit))?;
     }
-    Ok(report.timed("compaction", || mixed_elements::compact(&lattice, &elements, &merged)))
+    Ok(report.timed("compaction", || mixed_elements::compact(&lattice, &elements, &cubes)))
 }
 
 struct Rounds<'a> {

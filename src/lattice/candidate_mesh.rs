@@ -29,8 +29,21 @@ pub struct CandidateMesh {
     pub hexahedra: Vec<[VertexId; 8]>,
     /// Label per hexahedron.
     pub hexahedron_labels: Vec<Label>,
+    /// Cubes of tets that `mixed_elements` may merge once the vertices have moved; empty where not asked for.
+    pub cubes: Vec<MergeableCube>,
     /// Vertices at the caller's fixed points.
     pub fixed: Vec<VertexId>,
+}
+
+/// A lattice vertex whose 24 tets can become a hexahedron with pyramids.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MergeableCube {
+    /// The vertex that vanishes.
+    pub center: VertexId,
+    /// Corners in VTK's order.
+    pub corners: [VertexId; 8],
+    /// Vertices across the faces, in the order of `numbering::HEX_FACES`.
+    pub apexes: [VertexId; 6],
 }
 
 impl CandidateMesh {

@@ -7,6 +7,8 @@
 //! 3. Between two cubes the tets across their common face vanish. Between a cube and a vertex `c'` that is no centre
 //!    the four tets across the face become a pyramid with apex `c'`.
 //! 4. A cube with a pyramid that would have more surface triangles than allowed stays tets.
+//! 5. The cubes are found in the lattice and merged after smoothing, where their tets are still whole and the merged
+//!    elements are good enough. So the surfaces of the mixed mesh are those of the tetrahedral mesh.
 //!
 //! ```text
 //!     v3 ---- v2
@@ -20,14 +22,20 @@
 //! Triangles between labels stay what they are: a cube is of one label and pyramids keep the outer triangles of the
 //! tets they replace. The mesh conforms.
 
-use glam::IVec3;
+use glam::{DVec3, IVec3};
 use rustc_hash::FxHashMap;
 
 use crate::error::Result;
 use crate::index::{Label, VertexId};
-use crate::lattice::candidate_mesh::CandidateMesh;
+use crate::lattice::candidate_mesh::{CandidateMesh, MergeableCube};
 use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
 use crate::lattice::red_green::{Elements, RedGreenLattice};
+use crate::mesh::mixed_mesh::ElementKind;
+use crate::mesh::numbering::HEX_FACES;
+use crate::mesh::quality::scaled_jacobian;
+
+/// Directions across the faces of a cube, in the order of `numbering::HEX_FACES`.
+const APEXES: [IVec3; 6] = [IVec3::NEG_X, IVec3::X, IVec3::NEG_Y, IVec3::Y, IVec3::NEG_Z, IVec3::Z];
 
 /// Tets around a vertex of the uniform lattice.
 const TETS_AROUND_VERTEX: u8 = 24;
@@ -44,21 +52,6 @@ const CUBE: [IVec3; 8] = [
     IVec3::new(-1, 1, 1),
 ];
 
-/// Elements of the lattice after merging; vertices are those of the lattice.
-#[derive(Default)]
-pub struct MixedElements {
-    /// Tets that are merged.
-    pub is_merged: Vec<bool>,
-    /// Hexahedra in VTK order.
-    pub hexahedra: Vec<[u32; 8]>,
-    /// Label per hexahedron.
-    pub hexahedron_labels: Vec<Label>,
-    /// Pyramids in VTK order.
-    pub pyramids: Vec<[u32; 5]>,
-    /// Label per pyramid.
-    pub pyramid_labels: Vec<Label>,
-}
-
 /// What is known of the tets around a vertex.
 #[derive(Clone, Copy)]
 struct Around {
@@ -67,36 +60,44 @@ struct Around {
     label: Label,
 }
 
-/// Merges what can be merged; vertices for which `is_fixed` holds stay.
+/// The cubes whose tets can be merged; ids are those of the lattice's vertices.
 ///
 /// # Errors
 /// As [`neighbors_of`].
-pub fn merge(
+pub fn find_cubes(
     lattice: &RedGreenLattice,
     elements: &Elements,
     max_surface_triangles: usize,
-    is_fixed: impl Fn(u32) -> bool,
-) -> Result<MixedElements> {
+) -> Result<Vec<MergeableCube>> {
     let around = tets_around_vertices(lattice, elements);
     let neighbors = neighbors_of(&elements.tets, around.len())?;
-    let mut is_center: Vec<bool> =
-        (0..around.len() as u32).map(|v| around[v as usize].count == TETS_AROUND_VERTEX && !is_fixed(v)).collect();
+    let mut is_center: Vec<bool> = around.iter().map(|a| a.count == TETS_AROUND_VERTEX).collect();
     keep_one_lattice_per_level(lattice, &around, &mut is_center);
     // Surface triangles of each pyramid (centre, apex); a cube with too many stays tets. A refused cube becomes the
     // apex of its neighbours' pyramids, whose triangles then lie inside one label: one pass settles it.
     let mut surface: FxHashMap<(u32, u32), usize> = FxHashMap::default();
-    for_each_long_edge(elements, |e, tet, center, apex, corner| {
-        if is_center[center as usize] && !is_center[apex as usize] {
-            let near = neighbors[e][corner];
-            let on_surface = near == OUTSIDE || elements.labels[near as usize] != elements.labels[e];
-            *surface.entry((center, apex)).or_default() += usize::from(on_surface);
+    for (e, tet) in elements.tets.iter().enumerate() {
+        for [a, b] in [[0, 1], [1, 0], [2, 3], [3, 2]] {
+            let (center, apex) = (tet[a], tet[b]);
+            if is_center[center as usize] && !is_center[apex as usize] {
+                let near = neighbors[e][a];
+                let on_surface = near == OUTSIDE || elements.labels[near as usize] != elements.labels[e];
+                *surface.entry((center, apex)).or_default() += usize::from(on_surface);
+            }
         }
-        let _ = tet;
-    });
+    }
     for ((center, _), triangles) in surface {
         is_center[center as usize] &= triangles <= max_surface_triangles;
     }
-    Ok(build(lattice, elements, &around, &is_center))
+    let cube = |center: u32| {
+        let half = lattice.frame.edge(u32::from(around[center as usize].level)) / 2;
+        let position = lattice.vertices.positions[center as usize];
+        let at = |step: IVec3| {
+            VertexId(lattice.vertices.find(position + half * step).expect("a full vertex has its 14 neighbours"))
+        };
+        MergeableCube { center: VertexId(center), corners: CUBE.map(at), apexes: APEXES.map(|a| at(2 * a)) }
+    };
+    Ok((0..around.len() as u32).filter(|v| is_center[*v as usize]).map(cube).collect())
 }
 
 fn tets_around_vertices(lattice: &RedGreenLattice, elements: &Elements) -> Vec<Around> {
@@ -140,73 +141,139 @@ fn keep_one_lattice_per_level(lattice: &RedGreenLattice, around: &[Around], is_c
     }
 }
 
-/// Calls `visit(element, tet, end, other end, local number of end)` for both ends of both long edges of each tet.
-fn for_each_long_edge(elements: &Elements, mut visit: impl FnMut(usize, &[u32; 4], u32, u32, usize)) {
-    for (e, tet) in elements.tets.iter().enumerate() {
-        for [a, b] in [[0, 1], [1, 0], [2, 3], [3, 2]] {
-            visit(e, tet, tet[a], tet[b], a);
-        }
-    }
-}
-
-fn build(lattice: &RedGreenLattice, elements: &Elements, around: &[Around], is_center: &[bool]) -> MixedElements {
-    let mut mixed = MixedElements { is_merged: vec![false; elements.tets.len()], ..MixedElements::default() };
-    let corner_at = |position: IVec3| lattice.vertices.find(position).expect("a full vertex has its 14 neighbours");
-    let mut pyramids: Vec<(u32, u32)> = Vec::new();
-    for_each_long_edge(elements, |e, _, center, apex, _| {
-        if is_center[center as usize] {
-            mixed.is_merged[e] = true;
-            if !is_center[apex as usize] {
-                pyramids.push((center, apex));
-            }
-        }
-    });
-    pyramids.sort_unstable();
-    pyramids.dedup();
-    for center in (0..around.len()).filter(|v| is_center[*v]) {
-        let half = lattice.frame.edge(u32::from(around[center].level)) / 2;
-        let position = lattice.vertices.positions[center];
-        mixed.hexahedra.push(CUBE.map(|step| corner_at(position + half * step)));
-        mixed.hexahedron_labels.push(around[center].label);
-    }
-    for (center, apex) in pyramids {
-        let (position, top) = (lattice.vertices.positions[center as usize], lattice.vertices.positions[apex as usize]);
-        let half = lattice.frame.edge(u32::from(around[center as usize].level)) / 2;
-        let outward = (top - position) / (2 * half);
-        // Two axes u, v with u x v = outward turn counter-clockwise seen from the apex.
-        let u = IVec3::new(outward.y, outward.z, outward.x);
-        let u = if outward.min_element() < 0 { -u } else { u };
-        let v = outward.cross(u);
-        let ring = [-u - v, u - v, u + v, v - u].map(|step| corner_at(position + half * (outward + step)));
-        mixed.pyramids.push([ring[0], ring[1], ring[2], ring[3], apex]);
-        mixed.pyramid_labels.push(around[center as usize].label);
-    }
-    mixed
-}
-
-/// The merged elements as a candidate mesh; vertices are renumbered in the order of first use.
-pub fn compact(lattice: &RedGreenLattice, elements: &Elements, mixed: &MixedElements) -> CandidateMesh {
-    let mut mesh = CandidateMesh::default();
-    let mut renumbered = vec![u32::MAX; lattice.vertices.positions.len()];
-    let mut points = Vec::new();
-    let mut number = |v: u32| {
-        let slot = &mut renumbered[v as usize];
-        if *slot == u32::MAX {
-            *slot = points.len() as u32;
-            points.push(lattice.frame.local(lattice.vertices.positions[v as usize]));
-        }
-        VertexId(*slot)
+/// All labelled elements as a candidate mesh, with the cubes that can be merged later; vertices are renumbered in the
+/// order of first use.
+pub fn compact(lattice: &RedGreenLattice, elements: &Elements, cubes: &[MergeableCube]) -> CandidateMesh {
+    let labelled = elements.labels.iter().filter(|l| !l.is_background()).count();
+    let mut mesh = CandidateMesh {
+        tets: Vec::with_capacity(labelled),
+        tet_labels: Vec::with_capacity(labelled),
+        ..CandidateMesh::default()
     };
-    for (e, (tet, label)) in elements.tets.iter().zip(&elements.labels).enumerate() {
-        if !label.is_background() && !mixed.is_merged.get(e).copied().unwrap_or(false) {
-            mesh.tets.push(tet.map(&mut number));
-            mesh.tet_labels.push(*label);
+    let mut renumbered = vec![u32::MAX; lattice.vertices.positions.len()];
+    for (tet, label) in elements.tets.iter().zip(&elements.labels) {
+        if label.is_background() {
+            continue;
+        }
+        mesh.tets.push(tet.map(|v| {
+            let slot = &mut renumbered[v as usize];
+            if *slot == u32::MAX {
+                *slot = mesh.points.len() as u32;
+                mesh.points.push(lattice.frame.local(lattice.vertices.positions[v as usize]));
+            }
+            VertexId(*slot)
+        }));
+        mesh.tet_labels.push(*label);
+    }
+    let number = |v: VertexId| VertexId(renumbered[v.index()]);
+    mesh.cubes = cubes
+        .iter()
+        .map(|c| MergeableCube {
+            center: number(c.center),
+            corners: c.corners.map(number),
+            apexes: c.apexes.map(number),
+        })
+        .collect();
+    mesh
+}
+
+/// Merges the cubes of a mesh whose tets are all still there, where no hexahedron and no pyramid gets a scaled Jacobian
+/// below `min_scaled_jacobian`.
+pub fn merge_cubes(mesh: &mut CandidateMesh, min_scaled_jacobian: f64) {
+    let cubes = std::mem::take(&mut mesh.cubes);
+    let mut cube_of = vec![u32::MAX; mesh.points.len()];
+    cubes.iter().enumerate().for_each(|(c, cube)| cube_of[cube.center.index()] = c as u32);
+    let labels = labels_of_whole_cubes(mesh, &cubes, &cube_of);
+    let mut is_merged: Vec<bool> = labels.iter().map(Option::is_some).collect();
+    let points = &mesh.points;
+    let quality = |kind: ElementKind, nodes: &[VertexId]| {
+        let corners: Vec<DVec3> = nodes.iter().map(|v| points[v.index()]).collect();
+        scaled_jacobian(kind, &corners)
+    };
+    // A cube that is given up turns its neighbours' faces towards it into pyramids: again until nothing changes.
+    loop {
+        let spoils = |c: &usize| {
+            let cube = &cubes[*c];
+            is_merged[*c]
+                && (quality(ElementKind::Hexahedron, &cube.corners) < min_scaled_jacobian
+                    || pyramids_of(cube, &cube_of, &is_merged)
+                        .any(|p| quality(ElementKind::Pyramid, &p) < min_scaled_jacobian))
+        };
+        let spoiled: Vec<usize> = (0..cubes.len()).filter(spoils).collect();
+        if spoiled.is_empty() {
+            break;
+        }
+        spoiled.into_iter().for_each(|c| is_merged[c] = false);
+    }
+    for (c, cube) in cubes.iter().enumerate() {
+        let Some(label) = labels[c].filter(|_| is_merged[c]) else { continue };
+        mesh.hexahedra.push(cube.corners);
+        mesh.hexahedron_labels.push(label);
+        for pyramid in pyramids_of(cube, &cube_of, &is_merged) {
+            mesh.pyramids.push(pyramid);
+            mesh.pyramid_labels.push(label);
         }
     }
-    mesh.pyramids = mixed.pyramids.iter().map(|p| p.map(&mut number)).collect();
-    mesh.hexahedra = mixed.hexahedra.iter().map(|h| h.map(&mut number)).collect();
-    mesh.pyramid_labels.clone_from(&mixed.pyramid_labels);
-    mesh.hexahedron_labels.clone_from(&mixed.hexahedron_labels);
-    mesh.points = points;
-    mesh
+    let is_center = |v: &VertexId| cube_of[v.index()] != u32::MAX && is_merged[cube_of[v.index()] as usize];
+    let keep: Vec<bool> = mesh.tets.iter().map(|t| !t.iter().any(is_center)).collect();
+    let mut kept = keep.iter();
+    mesh.tets.retain(|_| *kept.next().expect("one flag per tet"));
+    let mut kept = keep.iter();
+    mesh.tet_labels.retain(|_| *kept.next().expect("one flag per tet"));
+    drop_unused_points(mesh);
+}
+
+fn pyramids_of<'a>(
+    cube: &'a MergeableCube,
+    cube_of: &'a [u32],
+    is_merged: &'a [bool],
+) -> impl Iterator<Item = [VertexId; 5]> + 'a {
+    let is_open = |apex: VertexId| cube_of[apex.index()] == u32::MAX || !is_merged[cube_of[apex.index()] as usize];
+    (0..6).filter(move |f| is_open(cube.apexes[*f])).map(|f| {
+        let [a, b, c, d] = HEX_FACES[f].map(|v| cube.corners[v]);
+        [a, b, c, d, cube.apexes[f]]
+    })
+}
+
+/// The label of each cube whose 24 tets are all there and of one label.
+fn labels_of_whole_cubes(mesh: &CandidateMesh, cubes: &[MergeableCube], cube_of: &[u32]) -> Vec<Option<Label>> {
+    let mut counts = vec![(0u32, Label::BACKGROUND, true); cubes.len()];
+    for (tet, label) in mesh.tets.iter().zip(&mesh.tet_labels) {
+        for v in tet {
+            let Some(c) = Some(cube_of[v.index()]).filter(|c| *c != u32::MAX) else { continue };
+            let cube = &cubes[c as usize];
+            let known = |w: &VertexId| w == v || cube.corners.contains(w) || cube.apexes.contains(w);
+            let (count, first, is_whole) = &mut counts[c as usize];
+            if *count == 0 {
+                *first = *label;
+            }
+            *count += 1;
+            *is_whole &= *first == *label && tet.iter().all(known);
+        }
+    }
+    let label = |(v, (count, label, is_whole)): (&MergeableCube, (u32, Label, bool))| {
+        let is_fixed = mesh.fixed.contains(&v.center);
+        (count == u32::from(TETS_AROUND_VERTEX) && is_whole && !is_fixed).then_some(label)
+    };
+    cubes.iter().zip(counts).map(label).collect()
+}
+
+fn drop_unused_points(mesh: &mut CandidateMesh) {
+    let mut is_used = vec![false; mesh.points.len()];
+    mesh.elements().for_each(|(nodes, _)| nodes.iter().for_each(|v| is_used[v.index()] = true));
+    let mut renumbered = vec![VertexId::NONE; mesh.points.len()];
+    let mut next = 0;
+    for (v, used) in is_used.iter().enumerate() {
+        if *used {
+            renumbered[v] = VertexId::from_index(next);
+            mesh.points[next] = mesh.points[v];
+            next += 1;
+        }
+    }
+    mesh.points.truncate(next);
+    let number = |v: &mut VertexId| *v = renumbered[v.index()];
+    mesh.tets.iter_mut().flatten().for_each(number);
+    mesh.pyramids.iter_mut().flatten().for_each(number);
+    mesh.hexahedra.iter_mut().flatten().for_each(number);
+    mesh.fixed.iter_mut().for_each(number);
 }

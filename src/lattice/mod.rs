@@ -119,6 +119,11 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
         smoothing_outputs(points, &image, options, &mut output);
     }
     context.progress("finishing", 0.95);
+    if options.mixed_elements {
+        report.timed("mixed_elements", || mixed_elements::merge_cubes(&mut candidate, options.min_scaled_jacobian));
+        report.set("mesh.hexahedra", candidate.hexahedra.len() as f64);
+        report.set("mesh.pyramids", candidate.pyramids.len() as f64);
+    }
     let mut mesh = report.timed("finishing", || finish(&candidate))?;
     if options.keep_smooth_mesh {
         output.meshes.push(("smooth_mesh".into(), mesh.clone()));
