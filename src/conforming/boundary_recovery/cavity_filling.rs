@@ -32,6 +32,9 @@ use crate::index::VertexId;
 /// Vertices of one polyhedron: the bits of a mask.
 pub const MOST_VERTICES: usize = 64;
 
+/// What setting up a search costs, in tets placed: measured on cavities of 10 to 30 faces.
+const SETUP_STEPS: usize = 10;
+
 type Face = [u8; 3];
 
 /// A polyhedron being filled.
@@ -52,13 +55,19 @@ struct FrontFace {
 }
 
 /// Fills the polyhedron bounded by `front` (a tet `(a, b, c, apex)` on each face is positive), containing every face of
-/// `sheets`, with at most `steps` tets placed. `None` where there is no filling or it was not found.
+/// `sheets`, with at most `steps` tets placed, which `budget` pays for. `None` where there is no filling or it was not
+/// found.
 pub fn fill_cavity(
     front: &[[VertexId; 3]],
     sheets: &[[VertexId; 3]],
     point_of: impl Fn(VertexId) -> DVec3,
     steps: usize,
+    budget: &mut usize,
 ) -> Option<Vec<[VertexId; 4]>> {
+    if *budget <= SETUP_STEPS {
+        return None;
+    }
+    *budget -= SETUP_STEPS;
     let mut ids: Vec<VertexId> = front.iter().flatten().copied().collect();
     ids.extend(sheets.iter().flatten());
     ids.sort_unstable();
@@ -84,7 +93,7 @@ pub fn fill_cavity(
         }
     }
     let mut filling =
-        CavityFilling { ids: ids.clone(), points, meetings: FxHashMap::default(), steps_left: steps, tets: Vec::new() };
+        CavityFilling { ids: ids.clone(), points, meetings: FxHashMap::default(), steps_left: 0, tets: Vec::new() };
     let mut start: Vec<FrontFace> = faces.iter().map(|&face| FrontFace { face, candidates: 0 }).collect();
     for i in 0..start.len() {
         start[i].candidates = filling.all_candidates(start[i].face, &start);
@@ -92,7 +101,11 @@ pub fn fill_cavity(
             return None;
         }
     }
-    filling.search(&start).then(|| filling.tets.iter().map(|t| t.map(|i| filling.ids[i as usize])).collect())
+    let steps = steps.min(*budget);
+    filling.steps_left = steps;
+    let found = filling.search(&start);
+    *budget -= steps - filling.steps_left;
+    found.then(|| filling.tets.iter().map(|t| t.map(|i| filling.ids[i as usize])).collect())
 }
 
 /// The same face from its smallest vertex.
@@ -255,7 +268,7 @@ mod tests {
 
     fn fill(points: &[[f64; 3]], front: &[[u32; 3]], sheets: &[[u32; 3]]) -> Option<Vec<[VertexId; 4]>> {
         let ids = |faces: &[[u32; 3]]| faces.iter().map(|f| f.map(VertexId)).collect::<Vec<_>>();
-        fill_cavity(&ids(front), &ids(sheets), |v| DVec3::from_array(points[v.index()]), 10_000)
+        fill_cavity(&ids(front), &ids(sheets), |v| DVec3::from_array(points[v.index()]), 10_000, &mut 20_000)
     }
 
     const BIPYRAMID: [[f64; 3]; 5] = [[1., 0., 0.], [-0.5, 0.8, 0.], [-0.5, -0.8, 0.], [0., 0., 1.], [0., 0., -1.]];

@@ -19,6 +19,7 @@ use super::crossings::tets_along;
 use super::edge_removal::{plan_flip_23, plan_removal, remove_edge};
 use crate::context::RunContext;
 use crate::error::Result;
+use crate::geometry::intersection::segment_meets_triangle;
 use crate::geometry::segment::squared_distance;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::tet_store::TetStore;
@@ -42,7 +43,8 @@ pub fn recover_edges(
                 left.push(edge);
             }
         }
-        if left.is_empty() || left.len() == before {
+        // A pass that recovers little is not worth another one.
+        if left.is_empty() || 10 * (before - left.len()) < before {
             return Ok(left);
         }
         missing = left;
@@ -55,14 +57,15 @@ pub fn recover_edges(
 /// Those of tet creation.
 pub fn recover_edge(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey, effort: &Effort) -> Result<bool> {
     let Some(mut tets) = tets_along(mesh, a, b) else { return Ok(true) };
+    let (mut budget, mut tries) = (effort.budget, effort.tries);
     loop {
         if tets.is_empty() {
             return Ok(false);
         }
-        if tets.len() <= effort.tets && fill_with_edge(mesh, &tets, [a, b], effort.steps)? {
+        if tets.len() <= effort.tets && fill_with_edge(mesh, &tets, [a, b], effort.steps, &mut budget)? {
             return Ok(true);
         }
-        match shorten(mesh, [a, b], tets.len(), effort)? {
+        match shorten(mesh, [a, b], tets.len(), effort, &mut tries)? {
             None => return Ok(true),
             Some(shorter) if shorter.len() < tets.len() => tets = shorter,
             Some(same) => {
@@ -75,7 +78,7 @@ pub fn recover_edge(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey, effort: &Effort
         return Ok(false);
     }
     for grown in grown_cavities(mesh, &tets, effort.tets) {
-        if fill_with_edge(mesh, &grown, [a, b], effort.steps)? {
+        if fill_with_edge(mesh, &grown, [a, b], effort.steps, &mut budget)? {
             return Ok(true);
         }
     }
@@ -83,7 +86,13 @@ pub fn recover_edge(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey, effort: &Effort
 }
 
 /// Fills the union of `tets` so that it contains the edge.
-fn fill_with_edge(mesh: &mut ConstrainedMesh, tets: &[TetId], [a, b]: EdgeKey, steps: usize) -> Result<bool> {
+fn fill_with_edge(
+    mesh: &mut ConstrainedMesh,
+    tets: &[TetId],
+    [a, b]: EdgeKey,
+    steps: usize,
+    budget: &mut usize,
+) -> Result<bool> {
     let shape = mesh.shape_of(tets);
     let mut vertices: Vec<VertexId> = shape.front.iter().flatten().copied().collect();
     vertices.sort_unstable();
@@ -93,16 +102,32 @@ fn fill_with_edge(mesh: &mut ConstrainedMesh, tets: &[TetId], [a, b]: EdgeKey, s
     let distance = |v: VertexId| squared_distance(mesh.at(v), pa, pb);
     vertices.sort_by(|&l, &r| distance(l).total_cmp(&distance(r)).then(l.cmp(&r)));
     for &p in &vertices {
+        if cuts_front(mesh, &shape.front, [a, b, p]) {
+            continue;
+        }
         let mut sheets = shape.sheets.clone();
         sheets.push([a, b, p]);
         mesh.cavities[0] += 1;
-        let Some(new) = fill_cavity(&shape.front, &sheets, |v| mesh.at(v), steps) else { continue };
+        let Some(new) = fill_cavity(&shape.front, &sheets, |v| mesh.at(v), steps, budget) else { continue };
         if contains_edges(&new, &shape.segments) && mesh.replace(tets, &new)?.is_some() {
             mesh.cavities[1] += 1;
             return Ok(true);
         }
     }
     Ok(false)
+}
+
+/// Whether an edge of the front passes through the face: then no filling contains it.
+fn cuts_front(mesh: &ConstrainedMesh, front: &[[VertexId; 3]], face: [VertexId; 3]) -> bool {
+    let corners = face.map(|v| mesh.at(v));
+    front.iter().any(|&[x, y, z]| {
+        [[x, y], [y, z], [z, x]].iter().any(|[u, v]| {
+            // Every edge of a closed front is met once in each direction: one of them is enough.
+            u < v && !face.contains(u) && !face.contains(v) && {
+                segment_meets_triangle(mesh.at(*u), mesh.at(*v), corners)
+            }
+        })
+    })
 }
 
 /// Whether every edge is an edge of a tet.
@@ -131,7 +156,13 @@ fn tried(
 }
 
 /// Removes one crossed face or edge so that fewer than `count` tets are crossed; `None` where the edge appeared.
-fn shorten(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey, count: usize, effort: &Effort) -> Result<Option<Vec<TetId>>> {
+fn shorten(
+    mesh: &mut ConstrainedMesh,
+    [a, b]: EdgeKey,
+    count: usize,
+    effort: &Effort,
+    tries: &mut usize,
+) -> Result<Option<Vec<TetId>>> {
     let Some(tets) = tets_along(mesh, a, b) else { return Ok(None) };
     let mut faces: Vec<[VertexId; 3]> = Vec::new();
     for &tet in &tets {
@@ -159,9 +190,8 @@ fn shorten(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey, count: usize, effort: &E
             if let Some(result) = tried(mesh, [a, b], &plan.old, &plan.new, count)? {
                 return Ok(result);
             }
-        } else if effort.depth > 0 {
-            let mut tries = effort.tries;
-            if remove_edge(mesh, [u, v], effort.depth, effort.ring, &mut tries)? {
+        } else if effort.depth > 0 && *tries > 0 {
+            if remove_edge(mesh, [u, v], effort.depth, effort.ring, tries)? {
                 match tets_along(mesh, a, b) {
                     None => return Ok(None),
                     Some(shorter) if !shorter.is_empty() && shorter.len() < count => return Ok(Some(shorter)),

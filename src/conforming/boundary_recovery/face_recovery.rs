@@ -41,7 +41,8 @@ pub fn recover_faces(
                 left.push(face);
             }
         }
-        if left.is_empty() || left.len() == before {
+        // A pass that recovers little is not worth another one.
+        if left.is_empty() || 10 * (before - left.len()) < before {
             return Ok(left);
         }
         missing = left;
@@ -58,11 +59,12 @@ pub fn recover_face(mesh: &mut ConstrainedMesh, face: FaceKey, effort: &Effort) 
         return Ok(false);
     }
     let Some(mut crossing) = tets_across(mesh, face) else { return Ok(true) };
+    let (mut budget, mut tries) = (effort.budget, effort.tries);
     loop {
         if crossing.edges.is_empty() {
             return Ok(false);
         }
-        match remove_piercing(mesh, face, &crossing, effort)? {
+        match remove_piercing(mesh, face, &crossing, effort, &mut tries)? {
             None => return Ok(true),
             Some(fewer) if fewer.edges.len() < crossing.edges.len() => crossing = fewer,
             Some(same) => {
@@ -74,12 +76,12 @@ pub fn recover_face(mesh: &mut ConstrainedMesh, face: FaceKey, effort: &Effort) 
     if crossing.tets.is_empty() || crossing.tets.len() > effort.tets {
         return Ok(false);
     }
-    if fill_both_sides(mesh, &crossing.tets, face, effort.steps)? {
+    if fill_both_sides(mesh, &crossing.tets, face, effort.steps, &mut budget)? {
         return Ok(true);
     }
     if effort.grow {
         for grown in grown_cavities(mesh, &crossing.tets, effort.tets) {
-            if fill_with_face(mesh, &grown, face, effort.steps)? {
+            if fill_with_face(mesh, &grown, face, effort.steps, &mut budget)? {
                 return Ok(true);
             }
         }
@@ -93,6 +95,7 @@ fn remove_piercing(
     face: FaceKey,
     crossing: &FaceCrossing,
     effort: &Effort,
+    tries: &mut usize,
 ) -> Result<Option<FaceCrossing>> {
     let count = crossing.edges.len();
     for &[u, v] in &crossing.edges {
@@ -104,9 +107,8 @@ fn remove_piercing(
                 Some(fewer) if !fewer.edges.is_empty() && fewer.edges.len() < count => return Ok(Some(fewer)),
                 Some(_) => drop(mesh.replace(&ids, &rows)?),
             }
-        } else if effort.depth > 0 {
-            let mut tries = effort.tries;
-            if remove_edge(mesh, [u, v], effort.depth, effort.ring, &mut tries)? {
+        } else if effort.depth > 0 && *tries > 0 {
+            if remove_edge(mesh, [u, v], effort.depth, effort.ring, tries)? {
                 match tets_across(mesh, face) {
                     None => return Ok(None),
                     Some(fewer) if !fewer.edges.is_empty() && fewer.edges.len() < count => return Ok(Some(fewer)),
@@ -119,27 +121,39 @@ fn remove_piercing(
 }
 
 /// Fills the union of `tets` on both sides of the face.
-fn fill_both_sides(mesh: &mut ConstrainedMesh, tets: &[TetId], face: FaceKey, steps: usize) -> Result<bool> {
+fn fill_both_sides(
+    mesh: &mut ConstrainedMesh,
+    tets: &[TetId],
+    face: FaceKey,
+    steps: usize,
+    budget: &mut usize,
+) -> Result<bool> {
     let shape = mesh.shape_of(tets);
     let Some(parts) = split_front(&shape.front, face).filter(|_| shape.sheets.is_empty()) else {
-        return fill_with_face(mesh, tets, face, steps);
+        return fill_with_face(mesh, tets, face, steps, budget);
     };
     let mut new = Vec::new();
     for part in parts {
         mesh.cavities[0] += 1;
-        let Some(filled) = fill_cavity(&part, &[], |v| mesh.at(v), steps) else { return Ok(false) };
+        let Some(filled) = fill_cavity(&part, &[], |v| mesh.at(v), steps, budget) else { return Ok(false) };
         mesh.cavities[1] += 1;
         new.extend(filled);
     }
     Ok(contains_edges(&new, &shape.segments) && mesh.replace(tets, &new)?.is_some())
 }
 
-fn fill_with_face(mesh: &mut ConstrainedMesh, tets: &[TetId], face: FaceKey, steps: usize) -> Result<bool> {
+fn fill_with_face(
+    mesh: &mut ConstrainedMesh,
+    tets: &[TetId],
+    face: FaceKey,
+    steps: usize,
+    budget: &mut usize,
+) -> Result<bool> {
     let shape = mesh.shape_of(tets);
     let mut sheets = shape.sheets;
     sheets.push(face);
     mesh.cavities[0] += 1;
-    let Some(new) = fill_cavity(&shape.front, &sheets, |v| mesh.at(v), steps) else { return Ok(false) };
+    let Some(new) = fill_cavity(&shape.front, &sheets, |v| mesh.at(v), steps, budget) else { return Ok(false) };
     if !contains_edges(&new, &shape.segments) || mesh.replace(tets, &new)?.is_none() {
         return Ok(false);
     }

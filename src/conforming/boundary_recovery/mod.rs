@@ -54,6 +54,8 @@ pub struct Effort {
     pub tets: usize,
     /// Tets placed in one search for a filling.
     pub steps: usize,
+    /// Tets placed in all searches for one edge, face or point.
+    pub budget: usize,
     /// Whether cavities are enlarged.
     pub grow: bool,
 }
@@ -62,12 +64,15 @@ pub struct Effort {
 fn efforts(options: &Options) -> [Effort; 4] {
     let (depth, ring) = (options.recursion_depth, options.edge_removal_limit);
     [
-        Effort { depth: 0, ring, tries: 0, tets: 12, steps: 60, grow: false },
-        Effort { depth: 1, ring, tries: 20, tets: 20, steps: 200, grow: false },
-        Effort { depth: depth.min(3), ring, tries: 60, tets: 30, steps: 500, grow: true },
-        Effort { depth, ring: 2 * ring, tries: 300, tets: 48, steps: 2000, grow: true },
+        Effort { depth: 0, ring, tries: 0, tets: 12, steps: 60, budget: 500, grow: false },
+        Effort { depth: 1, ring, tries: 20, tets: 20, steps: 150, budget: 900, grow: false },
+        Effort { depth: depth.min(3), ring, tries: 60, tets: 30, steps: 300, budget: 2500, grow: true },
+        Effort { depth, ring: 2 * ring, tries: 300, tets: 48, steps: 2000, budget: 12_000, grow: true },
     ]
 }
+
+/// Edges or faces that get the largest effort before they are split.
+const MOST_HARD: usize = 4;
 
 /// Splits of one edge or face beyond which recovery gives up.
 const MOST_ROUNDS: usize = 60;
@@ -115,7 +120,7 @@ pub fn restore_surface(
     let start = Instant::now();
     let mut volume = Vec::new();
     if options.boundary_recovery == RecoveryMode::Full {
-        let left = partition_elimination::eliminate_partitions(mesh, &mut volume, context)?;
+        let left = partition_elimination::eliminate_partitions(mesh, &mut volume, &efforts(options)[1], context)?;
         if left > 0 {
             let places: Vec<DVec3> = mesh.splits.iter().map(|(v, _)| mesh.at(*v)).collect();
             return Err(not_recovered(places, "a point added on the surface could not be taken off it"));
@@ -154,9 +159,13 @@ fn recover_all_edges(
     context: &RunContext,
 ) -> Result<()> {
     for _ in 0..MOST_ROUNDS {
-        for effort in efforts {
+        for (level, effort) in efforts.iter().enumerate() {
             if missing.is_empty() {
                 return Ok(());
+            }
+            // Many edges that resist are cheaper split: most of their points vanish again.
+            if level == 3 && missing.len() > MOST_HARD {
+                continue;
             }
             missing = edge_recovery::recover_edges(mesh, missing, effort, context)?;
         }
@@ -190,8 +199,8 @@ fn recover_all_faces(
     context: &RunContext,
 ) -> Result<()> {
     for _ in 0..MOST_ROUNDS {
-        for effort in efforts {
-            if missing.is_empty() {
+        for (level, effort) in efforts.iter().enumerate() {
+            if missing.is_empty() || (level == 3 && missing.len() > MOST_HARD) {
                 break;
             }
             missing = face_recovery::recover_faces(mesh, missing, effort, context)?;

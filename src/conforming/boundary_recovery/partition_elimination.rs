@@ -9,7 +9,8 @@
 //!       \      /                \  s'  /           new point s' that sees its whole boundary, inside the volume.
 //!         link                    link
 //! ```
-//! Such a point exists close to s in every sector of less than a full turn: s sees the link strictly, and the half
+//! Where neither works, the ball is thinned by removing edges at s, and both are tried again. Such a point exists close
+//! to s in every sector of less than a full turn: s sees the link strictly, and the half
 //! spaces of the whole faces share directions.
 //!
 //! # Source
@@ -21,8 +22,10 @@
 use glam::DVec3;
 use rustc_hash::{FxHashMap, FxHashSet};
 
+use super::Effort;
 use super::cavity_filling::fill_cavity;
 use super::constrained_mesh::{ConstrainedMesh, FaceKey, Split, face_key};
+use super::steiner_removal::thin_ball;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::geometry::predicates::orient3d;
@@ -31,7 +34,10 @@ use crate::mesh::numbering::TET_FACES;
 use crate::mesh::tet_store::TetStore;
 
 /// Steps of the search for a filling of a sector.
-const FILL_STEPS: usize = 1500;
+const FILL_STEPS: usize = 600;
+
+/// Places tried on a split segment.
+const SLIDE_PLACES: usize = 50;
 
 /// Undoes every split that can be undone; new points in the volume are appended to `volume`. Returns the number left.
 ///
@@ -40,6 +46,7 @@ const FILL_STEPS: usize = 1500;
 pub fn eliminate_partitions(
     mesh: &mut ConstrainedMesh,
     volume: &mut Vec<VertexId>,
+    effort: &Effort,
     context: &RunContext,
 ) -> Result<usize> {
     loop {
@@ -47,6 +54,16 @@ pub fn eliminate_partitions(
         let mut kept = Vec::new();
         while let Some((steiner, split)) = mesh.splits.pop() {
             context.check()?;
+            if undo(mesh, steiner, &split, volume)? {
+                continue;
+            }
+            // A better place on the surface, then a smaller ball: both make the kernel larger.
+            slide(mesh, steiner, &split);
+            if undo(mesh, steiner, &split, volume)? {
+                continue;
+            }
+            thin_ball(mesh, steiner, effort)?;
+            slide(mesh, steiner, &split);
             if !undo(mesh, steiner, &split, volume)? {
                 kept.push((steiner, split));
             }
@@ -82,7 +99,7 @@ fn undo(mesh: &mut ConstrainedMesh, steiner: VertexId, split: &Split, volume: &m
     let mut new: Vec<[VertexId; 4]> = Vec::new();
     let mut added = Vec::new();
     for sector in sectors {
-        if let Some(filled) = fill_cavity(&sector.front, &[], |v| mesh.at(v), FILL_STEPS) {
+        if let Some(filled) = fill_cavity(&sector.front, &[], |v| mesh.at(v), FILL_STEPS, &mut { 2 * FILL_STEPS }) {
             new.extend(filled);
             continue;
         }
@@ -110,6 +127,34 @@ fn undo(mesh: &mut ConstrainedMesh, steiner: VertexId, split: &Split, volume: &m
         }
     }
     Ok(true)
+}
+
+/// Moves the Steiner point along the segment or on the face it splits, to where its link is farthest.
+fn slide(mesh: &mut ConstrainedMesh, steiner: VertexId, split: &Split) {
+    let front = mesh.shape_of(&mesh.ball(steiner)).front;
+    if front.iter().flatten().any(|v| v.is_ghost()) {
+        return;
+    }
+    let faces: Vec<[DVec3; 3]> = front.iter().map(|f| f.map(|v| mesh.at(v))).collect();
+    let planes: Vec<(DVec3, DVec3)> =
+        faces.iter().map(|&[a, b, c]| ((b - a).cross(c - a).normalize_or_zero(), a)).collect();
+    let depth = |x: DVec3| planes.iter().map(|(n, p)| n.dot(x - *p)).fold(f64::INFINITY, f64::min);
+    let old = mesh.at(steiner);
+    let places: Vec<DVec3> = match split {
+        Split::Edge([a, b], _) => {
+            (1..SLIDE_PLACES).map(|i| mesh.at(*a).lerp(mesh.at(*b), i as f64 / SLIDE_PLACES as f64)).collect()
+        }
+        Split::Face(face, _) => {
+            let corners = face.map(|v| mesh.at(v));
+            let toward = corners.iter().flat_map(|c| (1..10).map(move |i| old.lerp(*c, f64::from(i) / 20.0)));
+            toward.chain([corners.iter().sum::<DVec3>() / 3.0]).collect()
+        }
+    };
+    let sees = |x: DVec3| faces.iter().all(|&[a, b, c]| orient3d(a, b, c, x) > 0.0);
+    let better = places.into_iter().map(|x| (depth(x), x)).filter(|(value, x)| *value > depth(old) && sees(*x));
+    if let Some((_, place)) = better.max_by(|l, r| l.0.total_cmp(&r.0)) {
+        mesh.complex.set_point(steiner, place);
+    }
 }
 
 /// One part of a ball, bounded by link faces and whole faces.

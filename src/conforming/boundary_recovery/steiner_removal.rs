@@ -70,7 +70,8 @@ fn center(mesh: &mut ConstrainedMesh, vertex: VertexId) {
 /// # Errors
 /// Those of tet creation.
 pub fn remove_vertex(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effort) -> Result<bool> {
-    if contract_or_fill(mesh, vertex, effort.steps)? {
+    let mut budget = effort.budget;
+    if contract_or_fill(mesh, vertex, effort.steps, &mut budget)? {
         return Ok(true);
     }
     let ball = mesh.ball(vertex);
@@ -81,7 +82,9 @@ pub fn remove_vertex(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effo
                 continue;
             }
             mesh.cavities[0] += 1;
-            let Some(new) = fill_cavity(&shape.front, &shape.sheets, |v| mesh.at(v), effort.steps) else { continue };
+            let Some(new) = fill_cavity(&shape.front, &shape.sheets, |v| mesh.at(v), effort.steps, &mut budget) else {
+                continue;
+            };
             if contains_edges(&new, &shape.segments) && mesh.replace(&grown, &new)?.is_some() {
                 mesh.cavities[1] += 1;
                 mesh.complex.set_tet_of(vertex, TetId::NONE);
@@ -90,10 +93,11 @@ pub fn remove_vertex(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effo
         }
     }
     thin_ball(mesh, vertex, effort)?;
-    contract_or_fill(mesh, vertex, effort.steps)
+    budget = budget.max(effort.budget / 2);
+    contract_or_fill(mesh, vertex, effort.steps, &mut budget)
 }
 
-fn contract_or_fill(mesh: &mut ConstrainedMesh, vertex: VertexId, steps: usize) -> Result<bool> {
+fn contract_or_fill(mesh: &mut ConstrainedMesh, vertex: VertexId, steps: usize, budget: &mut usize) -> Result<bool> {
     let ball = mesh.ball(vertex);
     let front = mesh.shape_of(&ball).front;
     if front.iter().flatten().any(|&v| v.is_ghost() || v == vertex) {
@@ -111,7 +115,7 @@ fn contract_or_fill(mesh: &mut ConstrainedMesh, vertex: VertexId, steps: usize) 
         }
     }
     mesh.cavities[0] += 1;
-    let Some(new) = fill_cavity(&front, &[], |v| mesh.at(v), steps) else { return Ok(false) };
+    let Some(new) = fill_cavity(&front, &[], |v| mesh.at(v), steps, budget) else { return Ok(false) };
     if mesh.replace(&ball, &new)?.is_none() {
         return Ok(false);
     }
@@ -121,7 +125,8 @@ fn contract_or_fill(mesh: &mut ConstrainedMesh, vertex: VertexId, steps: usize) 
 }
 
 /// Removes edges at the vertex while that shortens its ball.
-fn thin_ball(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effort) -> Result<()> {
+pub fn thin_ball(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effort) -> Result<()> {
+    let mut tries = effort.tries;
     loop {
         let ball = mesh.ball(vertex);
         let mut link: Vec<VertexId> = ball.iter().flat_map(|&t| mesh.complex.vertices(t)).collect();
@@ -133,7 +138,6 @@ fn thin_ball(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effort) -> R
             if let Some(plan) = plan_removal(mesh, vertex, other, effort.ring) {
                 thinned |= mesh.replace(&plan.old, &plan.new)?.is_some();
             } else if effort.depth > 0 {
-                let mut tries = effort.tries;
                 thinned |= remove_edge(mesh, [vertex, other], effort.depth.min(2), effort.ring, &mut tries)?;
             }
             if thinned {
