@@ -96,3 +96,110 @@ pub fn smooth(
     }
     Ok(points)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::grid::Grid;
+    use crate::index::Label;
+    use crate::lattice::options::PARAMETERS;
+    use crate::lattice::{self, CandidateMesh};
+    use crate::mesh::mixed_mesh::MixedMesh;
+    use crate::mesh::quality::mesh_quality;
+    use crate::mesh::validation::check_mixed_mesh;
+    use crate::parameters::ParameterSet;
+    use glam::DMat3;
+
+    /// An image of `n^3` voxels labelled by a function of the voxel centre.
+    fn image(n: usize, label: impl Fn(DVec3) -> u16) -> LabelImage {
+        let grid = Grid::new([n; 3], DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).unwrap();
+        let at = |i: usize| DVec3::new((i % n) as f64, (i / n % n) as f64, (i / n / n) as f64);
+        let voxels: Vec<Label> = (0..n * n * n).map(|i| Label(label(at(i)))).collect();
+        let labels = i32::from(voxels.iter().map(|l| l.0).max().unwrap());
+        LabelImage::new(grid, voxels, (0..=labels).collect()).unwrap()
+    }
+
+    fn mesh(image: &LabelImage, threads: usize) -> MixedMesh {
+        let mut set = ParameterSet::new(PARAMETERS);
+        set.set_text("lattice-spacing", "4").unwrap();
+        set.set_text("fidelity", "0.9").unwrap();
+        let options = Options::from_parameters(&set).unwrap();
+        let context = RunContext::with_threads(threads).unwrap();
+        lattice::run(image, &options, &context).unwrap().0.mesh
+    }
+
+    fn volume_of(mesh: &MixedMesh, label: i32) -> f64 {
+        let tets = mesh.tets().unwrap();
+        (0..tets.len())
+            .filter(|t| mesh.labels[*t] == label)
+            .map(|t| crate::geometry::tetrahedron::volume(tets[t].map(|v| mesh.points[v.index()])))
+            .sum()
+    }
+
+    #[test]
+    fn a_ball_becomes_smooth_close_and_well_shaped_for_any_number_of_threads() {
+        let center = DVec3::new(15.3, 15.8, 16.1);
+        let image = image(32, |p| u16::from(p.distance(center) < 12.0));
+        let result = mesh(&image, 1);
+        assert_eq!(result, mesh(&image, 2));
+        check_mixed_mesh(&result).unwrap();
+        let quality = mesh_quality(&result, &RunContext::with_threads(1).unwrap()).statistics();
+        assert!(quality.value("quality.min_dihedral").unwrap() > 12.0, "{quality:?}");
+        assert!(quality.value("quality.max_dihedral").unwrap() < 160.0);
+        let voxels = image.voxels().iter().filter(|l| l.0 == 1).count() as f64;
+        assert!((volume_of(&result, 1) / voxels - 1.0).abs() < 0.005);
+        let errors: Vec<f64> = result
+            .boundary
+            .triangles
+            .as_flattened()
+            .iter()
+            .map(|v| (result.points[v.index()].distance(center) - 12.0).abs())
+            .collect();
+        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        assert!(mean < 0.12 && errors.iter().all(|e| *e < 0.7), "{mean}");
+    }
+
+    #[test]
+    fn labels_that_meet_in_lines_keep_angles_and_volumes() {
+        let label = |p: DVec3| {
+            let inside = p.distance(DVec3::splat(12.4)) < 9.6;
+            if inside { 1 + u16::from(p.x > 12.2) + 2 * u16::from(p.y > 11.7) } else { 0 }
+        };
+        let image = image(26, label);
+        let result = mesh(&image, 1);
+        check_mixed_mesh(&result).unwrap();
+        let quality = mesh_quality(&result, &RunContext::with_threads(1).unwrap()).statistics();
+        assert!(quality.value("quality.min_dihedral").unwrap() > 8.0, "{quality:?}");
+        for label in 1..5u16 {
+            let voxels = image.voxels().iter().filter(|l| l.0 == label).count() as f64;
+            assert!((volume_of(&result, i32::from(label)) / voxels - 1.0).abs() < 0.02, "{label}");
+        }
+    }
+
+    #[test]
+    fn tissue_cut_by_the_image_border_ends_flat() {
+        let image = image(20, |p| u16::from(p.distance(DVec3::new(9.0, 9.4, 0.0)) < 8.0));
+        let result = mesh(&image, 1);
+        let lowest = result.points.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
+        assert!(lowest >= -0.5 - 0.2, "{lowest}");
+        let on_plane = result.points.iter().filter(|p| (p.z + 0.5).abs() < 1e-9).count();
+        assert!(on_plane > 30, "{on_plane}");
+    }
+
+    #[test]
+    fn a_cancelled_smoothing_ends_with_the_error() {
+        let image = image(12, |p| u16::from(p.distance(DVec3::splat(5.5)) < 4.0));
+        let context = RunContext::with_threads(1).unwrap();
+        context.cancel_token().cancel();
+        let options = Options::from_parameters(&ParameterSet::new(PARAMETERS)).unwrap();
+        let mut mesh = CandidateMesh {
+            points: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
+            tets: vec![[0, 1, 2, 3].map(VertexId)],
+            tet_labels: vec![Label(1)],
+            ..CandidateMesh::default()
+        };
+        let mut report = Report::default();
+        let result = smooth(&mut mesh, &image, &[0, 1], &options, &mut report, &context);
+        assert!(matches!(result, Err(crate::Error::Cancelled)));
+    }
+}

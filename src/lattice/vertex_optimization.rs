@@ -2,7 +2,8 @@
 //!
 //! # Method
 //! - Relaxation of a surface vertex: towards the mean of those neighbours on the surface that separate at least the same
-//!   sides, then back onto the surface (or the junction line) by projection. Full, half and quarter steps are tried; one
+//!   sides, then back onto the surface (or the junction line) by projection.
+//!   Full, half and quarter steps are tried; one
 //!   is taken when the ball keeps its lowest score or stays above the bound.
 //! - Optimisation of any vertex: search along fixed directions with shrinking steps for a higher lowest score of the ball;
 //!   surface vertices are projected after each trial and may stay off the surface by a small tolerance.
@@ -63,11 +64,15 @@ pub fn relax_on_surface(mesh: &mut ImprovementMesh, v: u32, bound: f64) -> bool 
     };
     let wanted = place + (mean - place) * RELAXATION;
     let Some(goal) = mesh.surface.project(wanted, mesh.sides(v), reach) else { return false };
-    if goal.distance_squared(place) < 1e-10 * reach * reach {
+    if goal.distance_squared(place) < 1e-6 * reach * reach {
         return false;
     }
-    let before = mesh.lowest_with(v, place, f64::NEG_INFINITY);
-    let needed = before.min(bound);
+    // Most moves stay above the bound: only where one does not, the present score is asked for.
+    if mesh.lowest_with(v, goal, bound) >= bound {
+        mesh.points[v as usize] = goal;
+        return true;
+    }
+    let needed = mesh.lowest_with(v, place, f64::NEG_INFINITY).min(bound);
     for fraction in [1.0, 0.5, 0.25] {
         let trial = place + (goal - place) * fraction;
         if mesh.lowest_with(v, trial, needed) >= needed {
