@@ -188,3 +188,24 @@ pub fn write_binary(surface: &SurfaceMesh, title: &str, out: &mut dyn Write) -> 
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reads_indented_text_with_blank_lines_and_merges_equal_points() {
+        let facet = |a: &str, b: &str, c: &str| {
+            format!(
+                "facet normal -1 0 -0\n outer loop\n  vertex {a}\n  vertex {b}\n  vertex {c}\n endloop\nendfacet\n\n"
+            )
+        };
+        let text =
+            format!("solid s\n{}  {}endsolid s\n", facet("0 0 0", "0 1 0", "1 0 0"), facet("0 0 0", "1 0 0", "0 0 1"));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("two.stl");
+        std::fs::write(&path, text).unwrap();
+        let surface = crate::io::read_surface(&path).unwrap();
+        assert_eq!((surface.points.len(), surface.facets.len()), (4, 2));
+    }
+}

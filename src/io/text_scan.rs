@@ -90,8 +90,9 @@ impl TextScan {
         (self.at > begin).then(|| std::str::from_utf8(&self.bytes[begin..self.at]).unwrap_or(""))
     }
 
-    /// The next word without moving on.
+    /// The next word without moving past it; [`TextScan::line`] then gives the line that the word is on.
     pub fn peek(&mut self) -> Option<String> {
+        self.skip_space();
         let at = self.at;
         let word = self.word().map(str::to_owned);
         self.at = at;

@@ -1,10 +1,10 @@
 """Turns what a user chose into parameters of the command-line modules."""
 
 IMAGE_PRESETS = {
-    "Draft": {"lattice-spacing": 12.0, "fidelity": 0.7, "num-iterations": 2},
+    "Draft": {"lattice-spacing": 12.0, "fidelity": 0.7, "smoothing-iterations": 2},
     "Simulation (default)": {},
     "Fine": {"lattice-spacing": 4.0, "fidelity": 0.95},
-    "Unsmoothed lattice": {"num-iterations": 0},
+    "Unsmoothed lattice": {"smoothing-iterations": 0},
 }
 
 SURFACE_PRESETS = {
