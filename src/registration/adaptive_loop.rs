@@ -31,16 +31,17 @@ use super::block_matching::{BlockMatch, MatchImage, MatchOutcome, MatchSettings,
 use super::deformation_solve::{BlockMeasurements, materials, solve_deformation, with_shape_functions};
 use super::displacement_field::{compose, field_of_mesh, repair_folds, rigid_field};
 use super::feature_points::select_features;
-use super::missing_correspondence::pair_with_surface;
+use super::missing_correspondence::{pair_tumor_with_cavity, pair_with_surface};
 use super::options::{FeatureOptions, MatchingDirection, MeshOptions, Options, Resection};
 use super::report::IterationReport;
-use super::resection::{Scene, find_cavity, resected_model};
+use super::resection::{Scene, fill_hole, find_cavity, resected_model};
 use super::working_grid::coarser;
 use crate::context::RunContext;
 use crate::error::{Error, Finding, FindingCode, Result, Severity};
 use crate::fem::displacement_fit::MeasurementStatus;
 use crate::image::gaussian::smooth;
 use crate::image::grid::Grid;
+use crate::image::interpolation::nearest_offset;
 use crate::image::label_image::LabelImage;
 use crate::image::resample::{map_voxels, resample_linear};
 use crate::image::scalar_image::ScalarImage;
@@ -59,6 +60,12 @@ const COARSE_SHARE: f64 = 0.34;
 
 /// How hard matched blocks pull against the mesh at a trade-off of 1: chosen on simulated operations.
 const DATA_STIFFNESS: f64 = 8.0;
+
+/// Longest way from the wall of a cavity to the tumour that was there, mm.
+const LONGEST_PAIR: f64 = 16.0;
+
+/// Weight of a wall against the mean weight of a block.
+const WALL_WEIGHT: f64 = 6.0;
 
 /// Folding limit while the loop runs; the returned field is held to the caller's limit.
 const LOOP_JACOBIAN: f64 = 0.05;
@@ -177,7 +184,7 @@ impl Scale {
         let fixed = resample_linear(scans.fixed, grid, |p| p)?;
         let foreground = map_voxels(grid, |point, _| {
             let fixed_grid = scans.fixed.grid();
-            let at = crate::image::interpolation::nearest_offset(fixed_grid.size(), fixed_grid.world_to_index(point));
+            let at = nearest_offset(fixed_grid.size(), fixed_grid.world_to_index(point));
             at.is_some_and(|at| scans.foreground[at])
         });
         // Half a voxel of smoothing at least keeps the resampling from aliasing.
@@ -188,7 +195,8 @@ impl Scale {
         let (thick, thin) = (scans.fixed.grid().spacing(), scans.moving.grid().spacing().element_product().cbrt());
         let extra = thick.to_array().map(|s| ((s * s - thin * thin).max(0.0) / 8.0).sqrt());
         let sigma = extra.map(|e| (sigma * sigma + e * e).sqrt() / spacing);
-        Ok(Self { grid: *grid, fixed: MatchImage::new(fixed, options.matching.metric), foreground, sigma })
+        let fixed = MatchImage::new(fixed, grid.size(), options.features.half_block, options.matching.metric);
+        Ok(Self { grid: *grid, fixed, foreground, sigma })
     }
 }
 
@@ -221,7 +229,7 @@ impl State<'_> {
         lap(&mut report.seconds[0]);
         let matches = self.matches(scale, &warped, &tissue, half_window, &mut report)?;
         lap(&mut report.seconds[2]);
-        let update = self.solve(&mesh, filling, scale, &matches, &mut report)?;
+        let update = self.solve(&mesh, filling, &matches, &mut report)?;
         lap(&mut report.seconds[3]);
         if is_last || self.options.adaptive.enabled {
             self.remember_blocks(&matches);
@@ -277,14 +285,14 @@ impl State<'_> {
     fn warped(&self, scale: &Scale) -> Result<MatchImage> {
         let scan = warp_scan(self.scans.moving, &self.field, &scale.grid)?;
         let values = smooth(scan.voxels(), scale.grid.size(), scale.sigma);
-        Ok(MatchImage::new(values, self.options.matching.metric))
+        Ok(MatchImage::new(values, scale.grid.size(), self.options.features.half_block, self.options.matching.metric))
     }
 
     /// Voxels of a scale that are not in the cavity; background beside the brain counts, its edge is structure.
     fn tissue(&self, scale: &Scale) -> Vec<bool> {
         let grid = &self.coarse.grid;
         map_voxels(&scale.grid, |point, _| {
-            let at = crate::image::interpolation::nearest_offset(grid.size(), grid.world_to_index(point));
+            let at = nearest_offset(grid.size(), grid.world_to_index(point));
             !at.is_some_and(|at| self.cavity[at])
         })
     }
@@ -326,8 +334,9 @@ impl State<'_> {
             let labels = warp_labels(self.scans.segmentation, &self.field, &scale.grid)?;
             let mask: Vec<bool> = labels.voxels().iter().zip(tissue).map(|(l, t)| l.0 != 0 && *t).collect();
             let centers = select_features(warped.values(), settings.size, &mask, &features);
-            let mut found = match_blocks(warped, tissue, &scale.fixed, &centers, &settings, self.context)?;
+            let mut found = self.match_moving(scale, warped, tissue, &centers, &settings)?;
             let remaining: Vec<bool> = scale.foreground.iter().zip(tissue).map(|(f, t)| *f && *t).collect();
+            self.find_walls(&found, &labels, scale, &settings, &mut result);
             let (paired, missing) = pair_with_surface(&mut found, &remaining, &settings);
             report.blocks += found.len();
             report.paired += paired;
@@ -346,11 +355,62 @@ impl State<'_> {
         Ok(result)
     }
 
+    /// Blocks of the moving scan in the fixed scan, whose cavity is filled: its edge would attract them.
+    fn match_moving(
+        &self,
+        scale: &Scale,
+        warped: &MatchImage,
+        tissue: &[bool],
+        centers: &[usize],
+        settings: &MatchSettings,
+    ) -> Result<Vec<BlockMatch>> {
+        if tissue.iter().all(|t| *t) {
+            return match_blocks(warped, tissue, &scale.fixed, centers, settings, self.context);
+        }
+        let hole: Vec<bool> = tissue.iter().map(|t| !t).collect();
+        let values = fill_hole(scale.fixed.values(), &hole, settings.size);
+        let filled = MatchImage::new(values, settings.size, settings.half_block, settings.metric);
+        match_blocks(warped, tissue, &filled, centers, settings, self.context)
+    }
+
+    /// Walls of the cavity, drawn to the boundary of the tumour that is gone.
+    fn find_walls(
+        &self,
+        found: &[BlockMatch],
+        labels: &LabelImage,
+        scale: &Scale,
+        settings: &MatchSettings,
+        result: &mut Matches,
+    ) {
+        let Some(label) = labels.label_of(2) else { return };
+        let grid = &self.coarse.grid;
+        let ratio = settings.spacing / grid.spacing().x;
+        let blocks: Vec<(DVec3, f32)> = found
+            .iter()
+            .filter(|m| labels.voxels()[m.at] == label)
+            .map(|m| {
+                let voxel = super::feature_points::voxel_of(m.at, settings.size).map(|x| x as f64);
+                (DVec3::from_array(voxel) * ratio, m.similarity)
+            })
+            .collect();
+        let tumor: Vec<bool> = map_voxels(grid, |point, _| {
+            let at = nearest_offset(settings.size, scale.grid.world_to_index(point));
+            at.is_some_and(|at| labels.voxels()[at] == label)
+        });
+        let spacing = grid.spacing().x;
+        for pair in pair_tumor_with_cavity(&tumor, &self.cavity, grid.size(), spacing, &blocks, LONGEST_PAIR) {
+            let normal = grid.direction() * pair.normal;
+            result.walls.points.push(grid.index_to_world(pair.wall));
+            result.walls.displacements.push(grid.direction() * (pair.step * spacing));
+            let along = DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
+            result.walls.weights.push(along * WALL_WEIGHT);
+        }
+    }
+
     fn solve(
         &mut self,
         mesh: &MixedMesh,
         filling: i32,
-        scale: &Scale,
         matches: &Matches,
         report: &mut IterationReport,
     ) -> Result<VectorImage> {
@@ -358,9 +418,17 @@ impl State<'_> {
         labels.sort_unstable();
         labels.dedup();
         let materials = materials(self.options, &labels, filling, self.options.adaptive.enabled)?;
-        let fit =
-            solve_deformation(mesh, &matches.data, materials, DATA_STIFFNESS, &self.options.mechanics, self.context)?;
+        let fit = solve_deformation(
+            mesh,
+            &matches.data,
+            &matches.walls,
+            materials,
+            DATA_STIFFNESS,
+            &self.options.mechanics,
+            self.context,
+        )?;
         report.rejected = fit.status.iter().filter(|s| **s != MeasurementStatus::Used).count();
+        report.walls = matches.walls.points.len();
         report.solver_iterations = fit.solves.iter().map(|s| s.iterations).sum();
         self.blocks = fit
             .status
@@ -373,7 +441,6 @@ impl State<'_> {
                 is_rejected: *status != MeasurementStatus::Used,
             })
             .collect();
-        let _ = scale;
         field_of_mesh(mesh, &fit.displacements, &self.coarse.grid)
     }
 
@@ -424,6 +491,7 @@ enum Side {
 #[derive(Default)]
 struct Matches {
     data: BlockMeasurements,
+    walls: BlockMeasurements,
     similarity: Vec<f64>,
 }
 

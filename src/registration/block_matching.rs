@@ -25,7 +25,7 @@ use rayon::prelude::*;
 
 use super::feature_points::voxel_of;
 use super::options::SimilarityMetric;
-use super::similarity::{PADDING, Scratch, Search, cross_correlation, mutual_information, quantize};
+use super::similarity::{BlockSpread, PADDING, Scratch, Search, cross_correlation, mutual_information, quantize};
 use super::structure_tensor::structure_tensor;
 use crate::context::RunContext;
 use crate::error::{Error, Result};
@@ -70,14 +70,18 @@ pub struct MatchImage {
     /// Values, i fastest, with [`PADDING`] values more at the end.
     padded: Vec<f32>,
     levels: Vec<u8>,
+    spread: BlockSpread,
 }
 
 impl MatchImage {
-    /// Prepares the values of a scan for a metric.
-    pub fn new(mut values: Vec<f32>, metric: SimilarityMetric) -> Self {
-        let levels = if metric == SimilarityMetric::MutualInformation { quantize(&values) } else { Vec::new() };
+    /// Prepares the values of a scan on a grid of `size` voxels for a metric and blocks of `half_block`.
+    pub fn new(mut values: Vec<f32>, size: [usize; 3], half_block: [usize; 3], metric: SimilarityMetric) -> Self {
+        let (levels, spread) = match metric {
+            SimilarityMetric::CrossCorrelation => (Vec::new(), BlockSpread::new(&values, size, half_block)),
+            SimilarityMetric::MutualInformation => (quantize(&values), BlockSpread::default()),
+        };
         values.extend([0.0; PADDING]);
-        Self { padded: values, levels }
+        Self { padded: values, levels, spread }
     }
 
     /// Values, i fastest.
@@ -158,7 +162,7 @@ fn match_block(
     let size = settings.size;
     let varies = match settings.metric {
         SimilarityMetric::CrossCorrelation => {
-            cross_correlation(&source.padded, Some(mask), &target.padded, size, &search, scratch)
+            cross_correlation(&source.padded, Some(mask), (&target.padded, &target.spread), size, &search, scratch)
         }
         SimilarityMetric::MutualInformation => {
             mutual_information(&source.levels, Some(mask), &target.levels, size, &search, scratch)
@@ -279,8 +283,8 @@ mod tests {
     #[test]
     fn a_fractional_shift_is_found_with_any_threads() {
         let shift = DVec3::new(1.4, -0.7, 1.8);
-        let source = MatchImage::new(texture(DVec3::ZERO), SimilarityMetric::CrossCorrelation);
-        let target = MatchImage::new(texture(shift), SimilarityMetric::CrossCorrelation);
+        let prepare = |values| MatchImage::new(values, SIZE, [2, 2, 2], SimilarityMetric::CrossCorrelation);
+        let (source, target) = (prepare(texture(DVec3::ZERO)), prepare(texture(shift)));
         let centers: Vec<usize> = (0..40).map(|n| 10 + n % 20 + SIZE[0] * (12 + n / 4 + SIZE[1] * 14)).collect();
         let mask = vec![true; SIZE.iter().product()];
         let run = |threads| {

@@ -24,6 +24,7 @@ use rayon::prelude::*;
 
 use super::feature_points::voxel_of;
 use super::options::apply;
+use super::working_grid::coarser;
 use crate::error::Result;
 use crate::fem::element_mesh::ElementMesh;
 use crate::fem::point_interpolation::PointLocator;
@@ -219,12 +220,18 @@ fn ring(voxels: &[usize], size: [usize; 3]) -> Vec<usize> {
 }
 
 /// The inverse of `field` on `grid`: displacements from points of the moving space to the fixed space. `start` maps moving
-/// points to fixed points roughly.
+/// points to fixed points roughly. Voxels outside of `inside` are interpolated from a grid of twice the spacing.
 ///
 /// # Errors
 /// None for a finite field.
-pub fn invert(field: &VectorImage, grid: &Grid, start: &DMat4) -> Result<VectorImage> {
-    let vectors = map_voxels(grid, |point, _| (invert_point(field, point, apply(start, point)) - point).as_vec3());
+pub fn invert(field: &VectorImage, grid: &Grid, inside: &[bool], start: &DMat4) -> Result<VectorImage> {
+    let coarse = coarser(grid, 2.0)?;
+    let rough = map_voxels(&coarse, |point, _| (invert_point(field, point, apply(start, point)) - point).as_vec3());
+    let rough = VectorImage::new(coarse, rough)?;
+    let vectors = map_voxels(grid, |point, at| {
+        let guess = rough.at_clamped(point);
+        if inside[at] { (invert_point(field, point, point + guess) - point).as_vec3() } else { guess.as_vec3() }
+    });
     VectorImage::new(*grid, vectors)
 }
 
@@ -282,7 +289,7 @@ mod tests {
     #[test]
     fn field_and_inverse_cancel() {
         let field = wave(2.0);
-        let inverse = invert(&field, &grid(), &DMat4::IDENTITY).unwrap();
+        let inverse = invert(&field, &grid(), &vec![true; 30 * 28 * 26], &DMat4::IDENTITY).unwrap();
         for index in [DVec3::new(10.0, 12.0, 9.0), DVec3::new(15.0, 8.0, 20.0)] {
             let at = grid().offset(index.x as usize, index.y as usize, index.z as usize);
             let moving = grid().index_to_world(index);

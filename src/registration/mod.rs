@@ -261,7 +261,8 @@ fn outputs(
     describe_field(&field, inside, &rigid, report, context);
     context.check()?;
     let to_fixed = rigid.inverse();
-    let inverse = invert(&loop_field, input.moving.grid(), &to_fixed)?;
+    let moving_inside = foreground(input.moving, None, "moving")?;
+    let inverse = invert(&loop_field, input.moving.grid(), &moving_inside, &to_fixed)?;
     context.check()?;
     let warped = warp_scan(input.moving, &field, input.fixed.grid())?;
     let mut labels = warp_labels(input.segmentation, &field, input.fixed.grid())?;

@@ -176,6 +176,34 @@ fn groups_touching(seeds: &[bool], touch: &[bool], size: [usize; 3], least: usiz
     kept
 }
 
+/// Values with those of `hole` replaced by the mean of their neighbours, layer by layer from its rim: no edge is left there.
+pub fn fill_hole(values: &[f32], hole: &[bool], size: [usize; 3]) -> Vec<f32> {
+    let mut values = values.to_vec();
+    let mut open = hole.to_vec();
+    let mut layer: Vec<usize> =
+        (0..open.len()).filter(|at| open[*at] && neighbors(*at, size).any(|n| !open[n])).collect();
+    while !layer.is_empty() {
+        let means: Vec<f32> = layer
+            .iter()
+            .map(|&at| {
+                let (sum, count) = neighbors(at, size)
+                    .filter(|n| !open[*n])
+                    .fold((0.0, 0.0), |(sum, count), n| (sum + values[n], count + 1.0));
+                sum / count
+            })
+            .collect();
+        for (&at, mean) in layer.iter().zip(means) {
+            values[at] = mean;
+            open[at] = false;
+        }
+        let mut next: Vec<usize> = layer.iter().flat_map(|&at| neighbors(at, size)).filter(|n| open[*n]).collect();
+        next.sort_unstable();
+        next.dedup();
+        layer = next;
+    }
+    values
+}
+
 /// The corrected segmentation and the model made of it.
 #[derive(Debug, Clone)]
 pub struct ResectedModel {

@@ -2,7 +2,7 @@
 //!
 //! # Method
 //! 1. Cross-correlation. The source block is centred once, so that `sum a' b` needs no mean of b; the sums run over eight or sixteen
-//!    neighbouring offsets at once, along memory. The spread of b is taken from the same loop.
+//!    neighbouring offsets at once, along memory. The spread of b comes from box sums of the whole target.
 //! 2. Masked blocks count only their masked voxels, so that a block at a cavity is compared by its tissue alone.
 //! 3. Mutual information from a joint histogram of quantised values; entropies from a table of `n ln n`.
 //!
@@ -14,6 +14,8 @@
 //!
 //! # Cost
 //! Cross-correlation: two multiplications per voxel and offset. No allocation: the caller passes the scratch buffers.
+
+use crate::image::gaussian::box_mean;
 
 /// Offsets computed together along the first axis.
 const LANES: usize = 8;
@@ -53,6 +55,22 @@ impl Search {
     }
 }
 
+/// Sums over the block around every voxel of the target: they do not depend on the source block when all its voxels count.
+#[derive(Debug, Clone, Default)]
+pub struct BlockSpread(Vec<f32>);
+
+impl BlockSpread {
+    /// Sum of the squared deviations from the mean of each block of `half` size.
+    pub fn new(values: &[f32], size: [usize; 3], half: [usize; 3]) -> Self {
+        let count = half.iter().map(|h| 2 * h + 1).product::<usize>() as f32;
+        let squares: Vec<f32> = values.iter().map(|v| v * v).collect();
+        let (mean, square) = (box_mean(values, size, half), box_mean(&squares, size, half));
+        // Rounding of a constant block leaves this much of its squares.
+        let of = |m: f32, q: f32| if q - m * m > 1e-5 * q { count * (q - m * m) } else { 0.0 };
+        Self(mean.iter().zip(&square).map(|(m, q)| of(*m, *q)).collect())
+    }
+}
+
 /// Buffers of one thread.
 #[derive(Debug, Clone, Default)]
 pub struct Scratch {
@@ -72,13 +90,15 @@ pub const PADDING: usize = LANES;
 pub fn cross_correlation(
     source: &[f32],
     mask: Option<&[bool]>,
-    target: &[f32],
+    target: (&[f32], &BlockSpread),
     size: [usize; 3],
     search: &Search,
     scratch: &mut Scratch,
 ) -> bool {
+    let (target, spreads) = target;
     let Some(norm) = center_block(source, mask, size, search, scratch) else { return false };
     let count: f32 = scratch.weights.iter().sum();
+    let center = search.center[0] + size[0] * (search.center[1] + size[1] * search.center[2]);
     let extent = search.extent();
     scratch.scores.clear();
     scratch.scores.resize(extent.iter().product(), -1.0);
@@ -94,11 +114,16 @@ pub fn cross_correlation(
                     lane_sums::<true>(block, weights, target, size, search, offset)
                 };
                 let row = (oz * extent[1] + oy) * extent[0];
+                let step = offset[0] + size[0] as isize * (offset[1] + size[1] as isize * offset[2]);
                 for lane in 0..LANES.min(extent[0] - first) {
-                    let spread = sums.squares[lane] - sums.values[lane] * sums.values[lane] / count;
-                    // Rounding of a constant target leaves this much of its squares.
-                    if spread > 1e-5 * sums.squares[lane] {
-                        scores[row + first + lane] = sums.products[lane] / (norm * spread).sqrt();
+                    let spread = if full {
+                        spreads.0[(center as isize + step) as usize + lane]
+                    } else {
+                        let spread = sums.squares[lane] - sums.values[lane] * sums.values[lane] / count;
+                        if spread > 1e-5 * sums.squares[lane] { spread } else { 0.0 }
+                    };
+                    if spread > 0.0 {
+                        scores[row + first + lane] = (sums.products[lane] / (norm * spread).sqrt()).min(1.0);
                     }
                 }
             }
@@ -174,10 +199,12 @@ fn lane_sums<const MASKED: bool>(
                 at += 1;
                 let lane: &[f32; LANES] = line[x..x + LANES].try_into().expect("the slice has this length");
                 for l in 0..LANES {
-                    let b = if MASKED { lane[l] * w } else { lane[l] };
                     sums.products[l] += a * lane[l];
-                    sums.values[l] += b;
-                    sums.squares[l] += b * lane[l];
+                    if MASKED {
+                        let b = lane[l] * w;
+                        sums.values[l] += b;
+                        sums.squares[l] += b * lane[l];
+                    }
                 }
             }
         }
@@ -287,7 +314,8 @@ mod tests {
         let negated: Vec<f32> = target.iter().map(|v| -v).collect();
         let search = Search::new([9, 9, 8], [2, 1, 2], [4, 5, 3], SIZE);
         let mut scratch = Scratch::default();
-        assert!(cross_correlation(&source, None, &padded(negated.clone()), SIZE, &search, &mut scratch));
+        let spread = BlockSpread::new(&negated, SIZE, search.half_block);
+        assert!(cross_correlation(&source, None, (&padded(negated.clone()), &spread), SIZE, &search, &mut scratch));
         assert_eq!(best(&search, &scratch.scores), [2, -3, 1]);
         let block = |values: &[f32], o: [isize; 3]| -> Vec<f32> {
             let mut out = Vec::new();
@@ -326,7 +354,8 @@ mod tests {
         }
         let search = Search::new([9, 9, 8], [1, 1, 1], [2, 2, 2], SIZE);
         let mut scratch = Scratch::default();
-        cross_correlation(&source, Some(&mask), &padded(target), SIZE, &search, &mut scratch);
+        let spread = BlockSpread::new(&target, SIZE, search.half_block);
+        cross_correlation(&source, Some(&mask), (&padded(target), &spread), SIZE, &search, &mut scratch);
         assert_eq!(best(&search, &scratch.scores), [1, 0, 0]);
         assert!(scratch.scores.iter().copied().fold(0.0, f32::max) > 0.999);
     }
@@ -336,8 +365,17 @@ mod tests {
         let search = Search::new([9, 9, 8], [1, 1, 1], [2, 2, 2], SIZE);
         let flat = vec![3.0; SIZE.iter().product()];
         let mut scratch = Scratch::default();
-        assert!(!cross_correlation(&flat, None, &padded(noise(1)), SIZE, &search, &mut scratch));
-        assert!(cross_correlation(&noise(1), None, &padded(flat), SIZE, &search, &mut scratch));
+        let spread = |values: &[f32]| BlockSpread::new(values, SIZE, search.half_block);
+        let other = noise(1);
+        assert!(!cross_correlation(
+            &flat,
+            None,
+            (&padded(other.clone()), &spread(&other)),
+            SIZE,
+            &search,
+            &mut scratch
+        ));
+        assert!(cross_correlation(&other, None, (&padded(flat.clone()), &spread(&flat)), SIZE, &search, &mut scratch));
         assert!(scratch.scores.iter().all(|s| *s == -1.0));
     }
 }
