@@ -84,7 +84,9 @@ fn register(threads: usize, fixed: &VoxelImage, changes: &[(&str, &str)]) -> Res
 
 fn deformed_scan() -> &'static VoxelImage {
     static SCAN: OnceLock<VoxelImage> = OnceLock::new();
-    SCAN.get_or_init(|| scan(&fixed_grid(), |p| (anatomy(truth(p)) * 0.8 + 20.0) * f64::from(u8::from(anatomy(truth(p)) > 0.0))))
+    SCAN.get_or_init(|| {
+        scan(&fixed_grid(), |p| (anatomy(truth(p)) * 0.8 + 20.0) * f64::from(u8::from(anatomy(truth(p)) > 0.0)))
+    })
 }
 
 fn result() -> &'static Output {

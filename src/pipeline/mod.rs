@@ -12,6 +12,7 @@ pub mod evaluation;
 pub mod image_to_mesh;
 pub mod registration;
 pub mod surface_to_mesh;
+pub mod warp;
 
 use glam::DVec3;
 

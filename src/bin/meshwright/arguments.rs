@@ -24,7 +24,7 @@ pub fn command() -> Command {
     for kind in JobKind::ALL {
         command = command.subcommand(job_command(kind));
     }
-    command.subcommands([quality_command(), check_command(), convert_command(), info_command()])
+    command.subcommands([quality_command(), check_command(), convert_command(), info_command(), crate::warp::command()])
 }
 
 fn quality_command() -> Command {

@@ -209,7 +209,8 @@ fn read_landmarks(path: &Path) -> Result<(Vec<DVec3>, Vec<DVec3>)> {
                 fixed.push(DVec3::new(a, b, c));
                 moving.push(DVec3::new(d, e, f));
             }
-            _ if number == 0 => {}
+            // Names of the columns stand above the first numbers.
+            _ if fixed.is_empty() => {}
             _ => return Err(Error::format(path, format!("line {}: six numbers are needed", number + 1))),
         }
     }

@@ -17,6 +17,7 @@ mod progress;
 mod quality;
 mod report;
 mod slicer_xml;
+mod warp;
 
 use std::process::ExitCode;
 
@@ -40,6 +41,7 @@ fn main() -> ExitCode {
         "check" => check::run(matches),
         "convert" => convert::run(matches),
         "info" => info::run(matches),
+        "warp" => warp::run(matches),
         other => Err(Error::Unsupported { reason: format!("no subcommand {other}") }),
     })
 }

@@ -39,11 +39,10 @@ pub fn run(matches: &ArgMatches) -> Result<()> {
     };
     io::check_writable(output)?;
     let field = io::read_image(field)?;
-    let direction =
-        if matches.get_flag("to-moving") { Direction::FixedToMoving } else { Direction::MovingToFixed };
+    let direction = if matches.get_flag("to-moving") { Direction::FixedToMoving } else { Direction::MovingToFixed };
     if io::is_image_path(input) {
         let image = io::read_image(input)?;
-        let grid = path("reference").map(io::read_image).transpose()?.map(|image| image.grid);
+        let grid = path("reference").map(|file| io::read_image(file)).transpose()?.map(|image| image.grid);
         let how = if matches.get_flag("nearest") { Interpolation::Nearest } else { Interpolation::Linear };
         let context = RunContext::with_threads(0)?;
         let warped = context.install(|| warp_image(&image, &field, grid.as_ref(), how))?;
