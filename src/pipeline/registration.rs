@@ -135,6 +135,7 @@ fn lattice_mesh(labels: &LabelImage, options: &MeshOptions, context: &RunContext
     let mut parameters = ParameterSet::new(image_to_mesh::PARAMETERS);
     parameters.set("latticeSpacing", Value::Real(options.lattice_spacing))?;
     parameters.set("fidelity", Value::Real(options.fidelity))?;
+    parameters.set("smoothing-iterations", Value::Integer(options.smoothing_iterations as i64))?;
     for (label, fidelity) in &options.label_fidelities {
         parameters.set_for_label("fidelity", *label, Value::Real(*fidelity))?;
     }

@@ -55,7 +55,7 @@ pub struct RigidResult {
     pub matrix: DMat4,
     /// Mutual information at the end, nats.
     pub mutual_information: f64,
-    /// Mutual information at the start, nats.
+    /// Mutual information of the start on the finest resolution, nats.
     pub start_information: f64,
     /// Steps on all resolutions.
     pub iterations: usize,
@@ -76,7 +76,7 @@ pub fn find_rigid(
     let starts = starts(center, moving, options)?;
     let mut best: Option<(f64, Pose)> = None;
     let mut iterations = 0;
-    let mut start_information = 0.0;
+    let (mut start, mut start_information) = (starts[0], 0.0);
     for level in (0..options.levels).rev() {
         let metric = Metric::new(fixed, foreground, moving, level, options, center);
         if best.is_none() {
@@ -86,11 +86,14 @@ pub fn find_rigid(
                     best = Some((value, *pose));
                 }
             }
-            start_information = best.as_ref().map_or(0.0, |(value, _)| *value);
+            start = best.as_ref().map_or(starts[0], |(_, pose)| *pose);
         }
         let pose = best.as_ref().map_or(starts[0], |(_, pose)| *pose);
         let coarsest = level + 1 == options.levels;
         let step = if coarsest { FIRST_STEP } else { FIRST_STEP / f64::powi(3.0, (options.levels - 1 - level) as i32) };
+        if level == 0 {
+            start_information = metric.value(&start);
+        }
         let (value, pose, steps) = climb(&metric, pose, step, options, context)?;
         iterations += steps;
         best = Some((value, pose));
