@@ -96,7 +96,7 @@ fn push_sides(mesh: &MixedMesh, boundary: &mut BoundaryFaces, inner: usize, oute
 }
 
 /// Vertices of the faces of an element, outward; triangles have three.
-fn faces_of(kind: ElementKind, nodes: &[VertexId]) -> Vec<Vec<VertexId>> {
+pub(super) fn faces_of(kind: ElementKind, nodes: &[VertexId]) -> Vec<Vec<VertexId>> {
     let pick = |face: &[usize]| face.iter().map(|v| nodes[*v]).collect();
     match kind {
         ElementKind::Tet => TET_FACES.iter().map(|f| pick(f)).collect(),

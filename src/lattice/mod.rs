@@ -19,10 +19,12 @@ pub mod adaptive_refinement;
 pub mod bcc_lattice;
 pub mod boundary_targets;
 pub mod candidate_mesh;
+pub mod duplicated_interfaces;
 pub mod element_labels;
 pub mod evaluation;
 pub mod face_adjacency;
 pub mod finishing;
+pub mod fixed_points;
 pub mod improvement_mesh;
 pub mod lattice_improvement;
 pub mod local_transformations;
@@ -106,6 +108,10 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
     let targets = Targets::new(&values, options)?;
     let input = RefinementInput { image: &image, values: &values, targets: &targets, spacing: 0.0 };
     let mut candidate = candidate_of(&input, options, &mut report, context)?;
+    if !options.fixed_points.is_empty() {
+        let found = fixed_points::snap(&mut candidate, &options.fixed_points, image.grid(), context);
+        report.set("mesh.fixed_points", found as f64);
+    }
     let mut output = Output::default();
     let finish = |candidate: &CandidateMesh| finishing::to_world(candidate, image.grid(), &values);
     if options.keep_bcc_mesh {
@@ -133,6 +139,10 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
     }
     drop(candidate);
     evaluate(&mesh, original, options, &mut report, context)?;
+    if !options.duplicated_interfaces.is_empty() {
+        let copies = duplicated_interfaces::duplicate(&mut mesh, &options.duplicated_interfaces)?;
+        report.set("mesh.duplicated_vertices", copies as f64);
+    }
     if options.shape_functions == ShapeFunctions::Quadratic {
         report.timed("quadratic", || finishing::make_quadratic(&mut mesh))?;
     }
