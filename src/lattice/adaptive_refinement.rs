@@ -18,10 +18,12 @@ use crate::error::{Error, Finding, FindingCode, Result, Severity};
 use crate::image::connected_components::{Components, Connectivity, Members};
 use crate::image::distance_transform::distance_to_other_labels;
 use crate::image::label_image::LabelImage;
+use crate::index::Label;
 use crate::lattice::bcc_lattice::{Field, LatticeFrame};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
-use crate::lattice::face_adjacency::neighbors_of;
+use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
+use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::mixed_elements;
 use crate::lattice::options::Options;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
@@ -43,6 +45,8 @@ pub struct RefinementInput<'a> {
     pub targets: &'a Targets,
     /// Edge of the coarsest cubes, mm.
     pub spacing: f64,
+    /// Where sub-meshes are to be manifold: share of a label's volume below which its loose regions are relabelled.
+    pub region_threshold: Option<f64>,
 }
 
 /// Refines until every label has its fidelity and every component an element.
@@ -109,6 +113,11 @@ impl Rounds<'_> {
                     }
                 }
                 deficit = self.deficit(&found);
+                if self.input.region_threshold.is_some() && !marked.contains(&true) {
+                    marked = self.make_manifold(lattice, &mut elements, &deficit, finest)?;
+                    found = self.count(lattice, &elements)?;
+                    deficit = self.deficit(&found);
+                }
                 if !marked.contains(&true) {
                     self.finish(&deficit, relabelled);
                     self.report.set("lattice.rounds", f64::from(round));
@@ -142,7 +151,6 @@ impl Rounds<'_> {
 
     /// Relabels only elements that hold no voxel centre of their own label.
     fn relabel_within_fidelity(&mut self, lattice: &RedGreenLattice, elements: &mut Elements) -> Result<()> {
-        use crate::index::Label;
         use crate::lattice::voxel_fidelity::for_each_foreign_voxel;
         use rayon::prelude::*;
         // A label that no voxel has makes every voxel of the element foreign.
@@ -158,6 +166,93 @@ impl Rounds<'_> {
             .collect();
         self.relabel(lattice, elements, |e| holds[e])?;
         Ok(())
+    }
+
+    /// Relabels loose regions and pinched elements; returns the leaves to refine where that was not enough.
+    fn make_manifold(
+        &mut self,
+        lattice: &RedGreenLattice,
+        elements: &mut Elements,
+        before: &Deficit,
+        finest: u32,
+    ) -> Result<Vec<bool>> {
+        let vertices = lattice.vertices.positions.len();
+        let neighbors = self.report.timed("adjacency", || neighbors_of(&elements.tets, vertices))?;
+        let unchanged = elements.labels.clone();
+        let threshold = self.input.region_threshold.unwrap_or(0.0);
+        let labels = self.input.values.len();
+        relabel_loose_regions(lattice, elements, &neighbors, labels, threshold);
+        let found = self.count(lattice, elements)?;
+        let after = self.deficit(&found);
+        if after.lost.len() > before.lost.len() || worse(&after, before) {
+            elements.labels = unchanged;
+        }
+        let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
+        let changed = self.report.timed("topology", || topology.repair(&mut elements.labels, |_| false));
+        self.report.add("topology.relabelled", changed as f64);
+        let pinched = topology.pinched(&elements.labels);
+        self.report.set("topology.pinched_vertices", pinched.len() as f64);
+        let mut marked = vec![false; lattice.tets.len()];
+        let around = topology.elements_around(&pinched);
+        for e in &around {
+            let leaf = elements.leaves[*e as usize] as usize;
+            marked[leaf] = u32::from(lattice.levels[leaf]) < finest;
+        }
+        let found = self.count(lattice, elements)?;
+        let after = self.deficit(&found);
+        let more = mark_leaves(lattice, elements, &found, &after, self.input.targets, finest);
+        marked.iter_mut().zip(more).for_each(|(m, more)| *m |= more);
+        let regions = regions_of(elements, &neighbors);
+        self.mark_disconnected(lattice, elements, &regions, finest, &mut marked);
+        if !marked.contains(&true) {
+            self.tell_topology(lattice, elements, &topology, &pinched);
+        }
+        Ok(marked)
+    }
+
+    /// Marks the whole sub-mesh of labels with more regions than the image has face-connected components.
+    fn mark_disconnected(
+        &self,
+        lattice: &RedGreenLattice,
+        elements: &Elements,
+        regions: &[(Label, Vec<u32>)],
+        finest: u32,
+        marked: &mut [bool],
+    ) {
+        let image = Components::new(self.input.image, Connectivity::Face, Members::Foreground);
+        let mut surplus = vec![0i64; self.input.values.len()];
+        image.components().iter().for_each(|c| surplus[c.label.index()] -= 1);
+        regions.iter().for_each(|(label, _)| surplus[label.index()] += 1);
+        for (leaf, label) in elements.leaves.iter().zip(&elements.labels) {
+            let level = u32::from(lattice.levels[*leaf as usize]);
+            marked[*leaf as usize] |= surplus[label.index()] > 0 && !label.is_background() && level < finest;
+        }
+        for (label, count) in surplus.iter().enumerate().skip(1) {
+            if *count > 0 && !marked.contains(&true) {
+                let value = self.input.values[label];
+                let text = format!("the mesh of label {value} has {count} regions more than the image");
+                let finding = Finding::new(FindingCode::DisconnectedMesh, Severity::Warning, text);
+                self.context.report(finding.with_ids(i64::from(value), *count));
+            }
+        }
+    }
+
+    fn tell_topology(
+        &self,
+        lattice: &RedGreenLattice,
+        elements: &Elements,
+        topology: &InterfaceTopology,
+        pinched: &[u32],
+    ) {
+        for vertex in pinched {
+            let label = topology.elements_around(&[*vertex]).into_iter().map(|e| elements.labels[e as usize]).max();
+            let value = label.map_or(0, |l| self.input.values[l.index()]);
+            let local = lattice.frame.local(lattice.vertices.positions[*vertex as usize]);
+            let text = format!("the surface of label {value} is not manifold at a vertex");
+            let finding = Finding::new(FindingCode::NonManifoldMesh, Severity::Warning, text);
+            let place = self.input.image.grid().local_to_world(local).to_array();
+            self.context.report(finding.with_ids(i64::from(value), -1).at(place));
+        }
     }
 
     fn finish(&mut self, deficit: &Deficit, relabelled: Relabelled) {
@@ -199,4 +294,70 @@ impl Rounds<'_> {
 /// Whether a label lacks fidelity after the relabelling that had it before.
 fn worse(after: &Deficit, before: &Deficit) -> bool {
     after.lacking.iter().zip(&before.lacking).any(|(a, b)| *a && !*b)
+}
+
+/// Elements connected through faces within one label; background is left out.
+fn regions_of(elements: &Elements, neighbors: &[[u32; 4]]) -> Vec<(Label, Vec<u32>)> {
+    let mut seen = vec![false; elements.tets.len()];
+    let mut regions = Vec::new();
+    for start in 0..elements.tets.len() {
+        let label = elements.labels[start];
+        if seen[start] || label.is_background() {
+            continue;
+        }
+        seen[start] = true;
+        let mut region = vec![start as u32];
+        let mut next = 0;
+        while next < region.len() {
+            for near in neighbors[region[next] as usize] {
+                if near != OUTSIDE && !seen[near as usize] && elements.labels[near as usize] == label {
+                    seen[near as usize] = true;
+                    region.push(near);
+                }
+            }
+            next += 1;
+        }
+        regions.push((label, region));
+    }
+    regions
+}
+
+/// Gives regions below a share of their label's volume the commonest label around them.
+fn relabel_loose_regions(
+    lattice: &RedGreenLattice,
+    elements: &mut Elements,
+    neighbors: &[[u32; 4]],
+    labels: usize,
+    threshold: f64,
+) {
+    let volume = |e: &u32| {
+        let [a, b, c, d] = elements.tets[*e as usize].map(|v| lattice.vertices.positions[v as usize].as_dvec3());
+        (b - a).cross(c - a).dot(d - a)
+    };
+    let regions = regions_of(elements, neighbors);
+    let volumes: Vec<f64> = regions.iter().map(|(_, region)| region.iter().map(volume).sum()).collect();
+    let (mut totals, mut largest) = (vec![0.0; labels], vec![(0.0, 0); labels]);
+    for (r, ((label, _), volume)) in regions.iter().zip(&volumes).enumerate() {
+        totals[label.index()] += volume;
+        if *volume > largest[label.index()].0 {
+            largest[label.index()] = (*volume, r);
+        }
+    }
+    for (r, (label, region)) in regions.iter().enumerate() {
+        if largest[label.index()].1 == r || volumes[r] >= threshold * totals[label.index()] {
+            continue;
+        }
+        let mut around: Vec<Label> = Vec::new();
+        for near in region.iter().flat_map(|e| neighbors[*e as usize]) {
+            let other = if near == OUTSIDE { Label::BACKGROUND } else { elements.labels[near as usize] };
+            if other != *label {
+                around.push(other);
+            }
+        }
+        around.sort_unstable();
+        let commonest = around.chunk_by(|a, b| a == b).max_by_key(|run| (run.len(), std::cmp::Reverse(run[0])));
+        if let Some(run) = commonest {
+            region.iter().for_each(|e| elements.labels[*e as usize] = run[0]);
+        }
+    }
 }

@@ -26,6 +26,7 @@ pub mod face_adjacency;
 pub mod finishing;
 pub mod fixed_points;
 pub mod improvement_mesh;
+pub mod interface_topology;
 pub mod lattice_improvement;
 pub mod local_transformations;
 pub mod mixed_elements;
@@ -106,7 +107,8 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
     let CleanImage { image, values, figures } = clean;
     report.merge(&figures);
     let targets = Targets::new(&values, options)?;
-    let input = RefinementInput { image: &image, values: &values, targets: &targets, spacing: 0.0 };
+    let region_threshold = options.check_mesh_topology.then_some(options.mesh_region_threshold);
+    let input = RefinementInput { image: &image, values: &values, targets: &targets, spacing: 0.0, region_threshold };
     let mut candidate = candidate_of(&input, options, &mut report, context)?;
     if !options.fixed_points.is_empty() {
         let found = fixed_points::snap(&mut candidate, &options.fixed_points, image.grid(), context);
