@@ -310,8 +310,21 @@ pub fn parameters(matches: &ArgMatches, table: Table) -> Result<ParameterSet> {
     Ok(set)
 }
 
-/// Arguments with the thesis's single hyphen (`-latticeSpacing`) brought to two.
+/// Names under which the binary is one subcommand: 3D Slicer knows a command-line module by its file name.
+const MODULE_NAMES: [(&str, JobKind); 3] = [
+    ("MeshwrightImageToMesh", JobKind::ImageToMesh),
+    ("MeshwrightSurfaceToMesh", JobKind::SurfaceToMesh),
+    ("MeshwrightRegister", JobKind::Registration),
+];
+
+/// Arguments with the thesis's single hyphen (`-latticeSpacing`) brought to two, and with the subcommand that the
+/// binary's own name stands for.
 pub fn normalized(arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
+    let mut arguments: Vec<OsString> = arguments.collect();
+    let called_as = arguments.first().and_then(|name| PathBuf::from(name).file_stem().map(OsString::from));
+    if let Some((_, kind)) = MODULE_NAMES.iter().find(|(name, _)| called_as.as_deref() == Some(name.as_ref())) {
+        arguments.insert(1, kind.name().into());
+    }
     let with_two = |argument: OsString| match argument.to_str() {
         Some(text)
             if text.len() > 2
@@ -323,7 +336,7 @@ pub fn normalized(arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
         }
         _ => argument,
     };
-    arguments.map(with_two).collect()
+    arguments.into_iter().map(with_two).collect()
 }
 
 /// The path given for `name`.

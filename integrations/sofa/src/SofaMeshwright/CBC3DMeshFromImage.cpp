@@ -104,7 +104,7 @@ void CBC3DMeshFromImage::setInputs(mw_context* context, mw_job* job)
     if (d_cellSize.getValue() > 0.0) { setParameter(job, "lattice-spacing", d_cellSize.getValue()); }
     if (d_fidelity.getValue() > 0.0) { setParameter(job, "fidelity", d_fidelity.getValue()); }
     if (d_smoothingIterations.getValue() >= 0) { check(mw_job_set_i64(job, "smoothing-iterations", d_smoothingIterations.getValue())); }
-    if (d_splitToTetrahedra.getValue()) { check(mw_job_set_i64(job, "hybrid-mesh", 0)); }
+    if (d_splitToTetrahedra.getValue()) { check(mw_job_set_i64(job, "mixed-elements", 0)); }
     const auto labels = sofa::helper::getReadAccessor(d_label);
     const auto sizes = sofa::helper::getReadAccessor(d_labelCellSize);
     const auto fidelities = sofa::helper::getReadAccessor(d_labelFidelity);

@@ -12,7 +12,7 @@ vtk = pytest.importorskip("vtk")
 from vtk.util.numpy_support import numpy_to_vtk, vtk_to_numpy  # noqa: E402
 
 sys.path.insert(0, os.path.dirname(__file__))
-sys.path.insert(0, str(pathlib.Path(__file__).parents[2] / "integrations" / "slicer"))
+sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
 import slicer_core as slicer  # noqa: E402
 from MeshwrightLib import command_line, results  # noqa: E402
 from slicer_cli import SlicerModule  # noqa: E402
