@@ -26,7 +26,8 @@ use rustc_hash::FxHashMap;
 use super::kernel_mesh::KernelMesh;
 use crate::geometry::perturbation::is_cospherical_point_inside;
 use crate::geometry::predicates::{
-    FaceCofactors, LiftedPoint, WholeGrid, face_cofactors, insphere, insphere_error_bound, insphere_exact, orient3d,
+    FaceCofactors, LiftedPoint, WholeGrid, are_box_corners, face_cofactors, insphere, insphere_error_bound,
+    insphere_exact, orient3d,
 };
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_FACES;
@@ -195,6 +196,7 @@ impl Cavity {
         self.exact_tests += 1;
         let [a, b, c, d] = tet;
         let sign = match &self.grid {
+            _ if are_box_corners([a, b, c, d, point]) => 0.0,
             Some(grid) => grid.insphere(a, b, c, d, point),
             None => insphere_exact(a, b, c, d, point),
         };

@@ -97,11 +97,30 @@ pub fn insphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
 #[cold]
 #[inline(never)]
 pub fn insphere_exact(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
+    if are_box_corners([a, b, c, d, e]) {
+        return 0.0;
+    }
     let (det, bound) = insphere_extended(a, b, c, d, e);
     if det > bound || det < -bound {
         return det;
     }
     -robust::insphere(coord(a), coord(b), coord(c), coord(d), coord(e))
+}
+
+/// Whether five points are corners of one box along the axes, and so exactly on one sphere: what grids are full of.
+#[inline]
+pub fn are_box_corners(points: [DVec3; 5]) -> bool {
+    (0..3).all(|axis| {
+        let first = points[0][axis];
+        let mut second = first;
+        points[1..].iter().all(|p| {
+            let value = p[axis];
+            if value != first && second == first {
+                second = value;
+            }
+            value == first || value == second
+        })
+    })
 }
 
 /// The determinant with about 100 bits, and a bound of its error.
@@ -300,6 +319,20 @@ mod tests {
         }
         assert!(WholeGrid::of(points.iter().map(|p| *p * 0.1)).is_none());
         assert!(WholeGrid::of([DVec3::ZERO].into_iter()).is_none());
+    }
+
+    #[test]
+    fn corners_of_a_box_are_found() {
+        let corner = |i: usize| DVec3::new([0.1, 0.3][i & 1], [7.7, -3.0][i >> 1 & 1], [0.7, 1e-9][i >> 2]);
+        let five = [0, 3, 5, 6, 7].map(corner);
+        assert!(are_box_corners(five));
+        assert_eq!(
+            -robust::insphere(coord(five[0]), coord(five[1]), coord(five[2]), coord(five[3]), coord(five[4])),
+            0.0
+        );
+        let mut moved = five;
+        moved[4].y = 0.5;
+        assert!(!are_box_corners(moved));
     }
 
     #[test]
