@@ -86,7 +86,7 @@ impl Legacy {
                 "TRIANGLE_STRIPS" => self.read_cells(cell::TRIANGLE_STRIP)?,
                 "POINT_DATA" => rows = Rows::Points(self.scan.count("point data", 0)?),
                 "CELL_DATA" => rows = Rows::Cells(self.scan.count("cell data", 0)?),
-                "METADATA" => while self.scan.line().is_some_and(|l| !l.is_empty()) {},
+                "METADATA" => self.skip_metadata(),
                 _ => self.read_attribute(&word, rows)?,
             }
         }
@@ -218,21 +218,23 @@ impl Legacy {
             let Some(name) = self.scan.word().map(str::to_owned) else {
                 return Err(self.scan.refuse("the file ends in a field"));
             };
-            if name.eq_ignore_ascii_case("METADATA") {
-                while self.scan.line().is_some_and(|l| !l.is_empty()) {}
-                continue;
-            }
             let components = self.scan.count("components", 0)?;
             let tuples = self.scan.count("tuples", 0)?;
             let kind = self.word("a type")?;
             let data = self.values(&kind, tuples.saturating_mul(components))?;
             self.keep(rows, NamedArray { name, components, data });
             if self.scan.peek().is_some_and(|w| w.eq_ignore_ascii_case("METADATA")) {
-                while self.scan.line().is_some_and(|l| !l.is_empty()) {}
-                while self.scan.line().is_some_and(|l| !l.is_empty()) {}
+                self.scan.word();
+                self.skip_metadata();
             }
         }
         Ok(())
+    }
+
+    /// Behind the word METADATA: the rest of its line, then lines up to an empty one.
+    fn skip_metadata(&mut self) {
+        self.scan.line();
+        while self.scan.line().is_some_and(|l| !l.is_empty()) {}
     }
 
     fn keep(&mut self, rows: Rows, array: NamedArray) {

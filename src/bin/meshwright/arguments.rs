@@ -115,7 +115,8 @@ fn table_arguments(parameter: &'static Parameter) -> Vec<Arg> {
     }
     let name = format!("{}-for", parameter.name);
     let per_label = Arg::new(name.clone())
-        .long(name)
+        .long(name.clone())
+        .alias(name.replace('-', "_"))
         .value_name("LABEL=X")
         .action(ArgAction::Append)
         .help_heading(parameter.group)
@@ -170,7 +171,7 @@ fn shared_arguments(kind: JobKind) -> Vec<Arg> {
         json_argument().help_heading(run),
         flag("xml", "Print 3D Slicer's description of this subcommand and exit"),
         flag("quiet", "Print nothing but errors"),
-        flag("slicer-progress", "Print progress as 3D Slicer's tags on standard output"),
+        flag("slicer-progress", "Print progress as 3D Slicer's tags on standard output").alias("slicer_progress"),
         Arg::new("returnparameterfile")
             .long("returnparameterfile")
             .value_name("FILE")

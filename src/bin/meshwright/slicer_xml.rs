@@ -2,7 +2,7 @@
 //!
 //! # Method
 //! A row becomes the element of its kind; files become images, models and transforms that Slicer loads and saves by
-//! itself. What can be left out is a text field, because Slicer has no empty number; an empty text counts as not given.
+//! itself. Slicer allows no hyphen in a flag: it gets the spelling with underscores. What can be left out is a text field, because Slicer has no empty number; an empty text counts as not given.
 
 use std::fmt::Write;
 
@@ -68,7 +68,7 @@ pub fn describe(kind: JobKind) -> String {
     }
     line(
         2,
-        "<boolean hidden=\"true\"><name>slicer_progress</name><longflag>slicer-progress</longflag><label>Progress</label><description><![CDATA[Report progress to Slicer.]]></description><default>true</default></boolean>",
+        "<boolean hidden=\"true\"><name>slicer_progress</name><longflag>slicer_progress</longflag><label>Progress</label><description><![CDATA[Report progress to Slicer.]]></description><default>true</default></boolean>",
     );
     line(1, "</parameters>");
     line(1, "<parameters>");
@@ -101,7 +101,7 @@ fn common(name: &str, doc: &str, unit: &str) -> String {
     }
     let unit = if unit.is_empty() { String::new() } else { format!(" [{unit}]") };
     format!(
-        "<name>{identifier}</name><longflag>{name}</longflag><label>{}</label><description><![CDATA[{doc}]]></description>",
+        "<name>{identifier}</name><longflag>{identifier}</longflag><label>{}</label><description><![CDATA[{doc}]]></description>",
         escaped(&format!("{label}{unit}"))
     )
 }
