@@ -32,8 +32,10 @@ use crate::index::VertexId;
 /// Vertices of one polyhedron: the bits of a mask.
 pub const MOST_VERTICES: usize = 64;
 
-/// What setting up a search costs, in tets placed: measured on cavities of 10 to 30 faces.
-const SETUP_STEPS: usize = 10;
+/// Every face is tested against every other at the start: faces squared over this, in steps.
+const SETUP_SHARE: usize = 16;
+/// Faces of a front that cost one more step.
+const STEP_SHARE: usize = 8;
 
 type Face = [u8; 3];
 
@@ -64,10 +66,11 @@ pub fn fill_cavity(
     steps: usize,
     budget: &mut usize,
 ) -> Option<Vec<[VertexId; 4]>> {
-    if *budget <= SETUP_STEPS {
+    let setup = 2 + front.len() * front.len() / SETUP_SHARE;
+    if *budget <= setup {
         return None;
     }
-    *budget -= SETUP_STEPS;
+    *budget -= setup;
     let mut ids: Vec<VertexId> = front.iter().flatten().copied().collect();
     ids.extend(sheets.iter().flatten());
     ids.sort_unstable();
@@ -137,7 +140,8 @@ impl CavityFilling {
             if self.steps_left == 0 {
                 return false;
             }
-            self.steps_left -= 1;
+            // A step costs what its front costs to look through.
+            self.steps_left = self.steps_left.saturating_sub(1 + front.len() / STEP_SHARE);
             let Some(next) = self.place(front, position, apex) else { continue };
             self.tets.push([face[0], face[1], face[2], apex]);
             if self.search(&next) {

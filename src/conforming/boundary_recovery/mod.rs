@@ -66,8 +66,8 @@ fn efforts(options: &Options) -> [Effort; 4] {
     [
         Effort { depth: 0, ring, tries: 0, tets: 12, steps: 60, budget: 500, grow: false },
         Effort { depth: 1, ring, tries: 20, tets: 20, steps: 150, budget: 900, grow: false },
-        Effort { depth: depth.min(3), ring, tries: 60, tets: 30, steps: 300, budget: 2500, grow: true },
-        Effort { depth, ring: 2 * ring, tries: 300, tets: 48, steps: 2000, budget: 12_000, grow: true },
+        Effort { depth: depth.min(3), ring, tries: 60, tets: 30, steps: 600, budget: 4000, grow: true },
+        Effort { depth, ring: 2 * ring, tries: 300, tets: 48, steps: 6000, budget: 40_000, grow: true },
     ]
 }
 

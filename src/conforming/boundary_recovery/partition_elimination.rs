@@ -34,7 +34,7 @@ use crate::mesh::numbering::TET_FACES;
 use crate::mesh::tet_store::TetStore;
 
 /// Steps of the search for a filling of a sector.
-const FILL_STEPS: usize = 600;
+const FILL_STEPS: usize = 1500;
 
 /// Places tried on a split segment.
 const SLIDE_PLACES: usize = 50;
