@@ -95,15 +95,18 @@ const LARGE_ANGLE_COSINE: f64 = -0.258_8;
 const WEIGHT_GAIN: f64 = 1e-9;
 
 impl Reconnector {
-    /// Commits the plan and lists the new tets.
+    /// Commits the plan and lists the new tets; false, with nothing changed, where the store has no room.
     ///
     /// # Errors
     /// As [`commit`].
-    pub fn commit<S: TetStore + ?Sized>(&mut self, store: &mut S) -> Result<()> {
+    pub fn commit<S: TetStore + ?Sized>(&mut self, store: &mut S) -> Result<bool> {
+        if !store.has_room(self.scratch.plan.new.len()) {
+            return Ok(false);
+        }
         commit(store, &mut self.scratch)?;
         self.fresh.extend_from_slice(&self.scratch.created);
         self.counts.accepted += 1;
-        Ok(())
+        Ok(true)
     }
 
     /// Restores empty circumspheres after `vertex` was inserted by the last commit: considers the faces opposite to it.
@@ -182,12 +185,11 @@ impl Reconnector {
         four: FourFour,
     ) -> Result<Outcome> {
         self.counts.tried += 1;
-        let outcome = self.plan_face(store, side, objective, four);
-        match outcome {
-            Outcome::Accepted => self.commit(store)?,
-            Outcome::ClaimLost => self.counts.lost += 1,
-            _ => {}
+        let mut outcome = self.plan_face(store, side, objective, four);
+        if outcome == Outcome::Accepted && !self.commit(store)? {
+            outcome = Outcome::ClaimLost; // to be finished when there is room again
         }
+        self.counts.lost += u64::from(outcome == Outcome::ClaimLost);
         Ok(outcome)
     }
 

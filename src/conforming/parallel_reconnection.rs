@@ -1,4 +1,25 @@
-//! Drives insertions and reconnections over many tets: alone, or speculatively on several threads.
+//! Drives insertions, reconnections and improvements over many tets: alone, or speculatively on several threads.
+//!
+//! # Method
+//! 1. A pass is a list of items (vertices to insert, tets to reconnect or improve, vertices to smooth) and a job, which
+//!    is written once for any store.
+//! 2. With one thread the items are worked off in order on the complex itself.
+//! 3. With several, the complex is shared under claims ([`crate::mesh::claimed_tets`]); items are cut into buckets that
+//!    threads hand over ([`crate::parallel::speculative`]). An attempt that loses a claim changes nothing and is tried
+//!    again, in the end alone. Faces whose flip lost a claim in the middle of a cascade are finished by one thread.
+//!
+//! # Source
+//! [Drakopoulos2017] 4.8; B.3 `nthreads`, `nthreadsq`, `nbuckets`, `nbucketsq`, `frbtransf`, `cbtransf`, `frbtransfq`,
+//! `cbtransfq`, `sortp`, `sortpq`.
+//!
+//! # Differences
+//! Insertion, deactivation, creation and sorting are parallel too, which the thesis leaves sequential.
+//!
+//! # Invariants
+//! The mesh is valid after every pass at any thread count. With one thread the result is always the same.
+//!
+//! # Limits
+//! A claimed store has room for a given number of new tets; items without room are worked off in another round.
 
 use rayon::prelude::*;
 
@@ -12,10 +33,13 @@ use super::vertex_insertion::{Insertion, InsertionRule, insert_vertex};
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::{TetFace, TetId, VertexId};
+use crate::mesh::claimed_tets::{ClaimedTets, with_claims};
 use crate::mesh::numbering::TET_EDGES;
 use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
 use crate::mesh::topology::ShellTet;
+use crate::parallel::speculative::{Attempt, SpeculativeCounts, Worker, run_speculative};
+use crate::parallel::work_queue::WorkSettings;
 use crate::statistics::Statistics;
 
 /// A vertex to insert and the tet to walk from.
@@ -29,268 +53,146 @@ pub struct Insert {
 
 /// Most flips that one tet may set off in a pass.
 const BUDGET: usize = 64;
+/// Room that one attempt may need: the tets of the largest cavity.
+const ATTEMPT_ROOM: usize = 256;
+/// New tets per inserted vertex, with what is in flight.
+const TETS_PER_INSERT: usize = 9;
+/// Passes with fewer items run on one thread: sharing would cost more than it brings.
+const MIN_PARALLEL: usize = 512;
+/// Items between two looks at cancellation.
+const CHECK_INTERVAL: usize = 256;
+/// Rounds for items that found no room.
+const ROOM_ROUNDS: usize = 8;
 
-/// Runs passes and counts.
-pub struct Driver {
-    context: RunContext,
-    worker: Reconnector,
-    counts: FlipCounts,
+/// What one thread needs and finds.
+#[derive(Debug, Clone, Default)]
+struct Kit {
+    reconnector: Reconnector,
     smoother: Smoother,
     slivers: SliverScratch,
+    /// The vertex inserted last: where lost walks start again.
+    last: Option<VertexId>,
+    rejected: Vec<VertexId>,
+    /// Vertices without tets that sliver removal may use.
+    spare: Vec<VertexId>,
+    /// Sizes of the vertices taken from `spare`.
+    new_sizes: Vec<(VertexId, f64)>,
+    removed: Vec<VertexId>,
+    tally: Tally,
+}
+
+/// Counts of a driver.
+#[derive(Debug, Clone, Copy, Default)]
+struct Tally {
+    done: u64,
     collapsed: u64,
     smoothed: u64,
     removed: u64,
     inserted: u64,
 }
 
-impl Driver {
-    /// The driver of refinement.
-    pub fn for_refinement(_options: &Options, context: &RunContext) -> Self {
-        Self {
-            context: context.clone(),
-            worker: Reconnector::default(),
-            counts: FlipCounts::default(),
-            smoother: Smoother::default(),
-            slivers: SliverScratch::default(),
-            collapsed: 0,
-            smoothed: 0,
-            removed: 0,
-            inserted: 0,
+/// Work on one item, for any store; no claim is held before and after.
+trait Job: Sync {
+    type Item: Send + Copy;
+
+    fn attempt<S: TetStore>(&self, store: &mut S, kit: &mut Kit, item: Self::Item) -> Result<Attempt>;
+}
+
+struct InsertJob<'a> {
+    sizes: &'a [f64],
+    rule: &'a InsertionRule,
+}
+
+impl Job for InsertJob<'_> {
+    type Item = Insert;
+
+    fn attempt<S: TetStore>(&self, store: &mut S, kit: &mut Kit, item: Insert) -> Result<Attempt> {
+        let start = match kit.last {
+            Some(vertex) if !store.is_live(item.start) => store.tet_of(vertex),
+            _ => item.start,
+        };
+        let point = store.point(item.vertex);
+        let reconnector = &mut kit.reconnector;
+        match insert_vertex(store, self.sizes, item.vertex, point, start, self.rule, reconnector)? {
+            Insertion::Inserted => kit.last = Some(item.vertex),
+            Insertion::ClaimLost => return Ok(Attempt::ClaimLost),
+            Insertion::NoRoom => return Ok(Attempt::NoRoom),
+            _ => kit.rejected.push(item.vertex),
         }
+        Ok(Attempt::Done)
     }
+}
 
-    /// The driver of quality improvement.
-    pub fn for_quality(options: &Options, context: &RunContext) -> Self {
-        Self::for_refinement(options, context)
-    }
+struct ReconnectJob {
+    objective: Objective,
+    four: FourFour,
+}
 
-    /// The counts since the last call.
-    pub fn take_counts(&mut self) -> FlipCounts {
-        let counts = std::mem::take(&mut self.worker.counts);
-        self.counts.add(counts);
-        counts
-    }
+impl Job for ReconnectJob {
+    type Item = TetId;
 
-    /// Adds the figures of the parallel passes.
-    pub fn record(&self, figures: &mut Statistics, prefix: &str) {
-        for (name, value) in [
-            ("edges_collapsed", self.collapsed),
-            ("vertices_smoothed", self.smoothed),
-            ("vertices_removed", self.removed),
-            ("vertices_inserted", self.inserted),
-        ] {
-            figures.set(format!("{prefix}.{name}"), value as f64);
+    fn attempt<S: TetStore>(&self, store: &mut S, kit: &mut Kit, tet: TetId) -> Result<Attempt> {
+        if store.is_live(tet) {
+            kit.reconnector.reconnect_from(store, tet, self.objective, self.four, BUDGET)?;
         }
+        Ok(Attempt::Done)
     }
+}
 
-    /// Inserts vertices; returns those that were not inserted. `fresh` gains the tets that are new.
-    ///
-    /// # Errors
-    /// [`crate::error::Error::Cancelled`], or what the store refuses.
-    pub fn insert(
-        &mut self,
-        complex: &mut TetComplex,
-        sizes: &[f64],
-        inserts: &[Insert],
-        rule: &InsertionRule,
-        fresh: &mut Vec<TetId>,
-    ) -> Result<Vec<VertexId>> {
-        let mut rejected = Vec::new();
-        let mut last = None;
-        for (number, insert) in inserts.iter().enumerate() {
-            if number % 1024 == 0 {
-                self.context.check()?;
-            }
-            let start = if complex.is_live(insert.start) {
-                insert.start
-            } else {
-                match last {
-                    Some(vertex) => complex.tet_of(vertex),
-                    None => insert.start,
-                }
-            };
-            let point = complex.point(insert.vertex);
-            match insert_vertex(complex, sizes, insert.vertex, point, start, rule, &mut self.worker)? {
-                Insertion::Inserted => last = Some(insert.vertex),
-                _ => rejected.push(insert.vertex),
-            }
+struct SmoothJob<'a> {
+    rule: &'a SmoothingRule,
+    /// The rule for vertices beside the boundary.
+    near_boundary: &'a SmoothingRule,
+    on_boundary: &'a [bool],
+}
+
+impl Job for SmoothJob<'_> {
+    type Item = VertexId;
+
+    fn attempt<S: TetStore>(&self, store: &mut S, kit: &mut Kit, vertex: VertexId) -> Result<Attempt> {
+        if self.on_boundary.get(vertex.index()).copied().unwrap_or(false) {
+            return Ok(Attempt::Done);
         }
-        fresh.append(&mut self.worker.fresh);
-        Ok(rejected)
+        let tet = store.tet_of(vertex);
+        let is_near = tet != TetId::NONE
+            && store.vertices(tet).iter().any(|v| self.on_boundary.get(v.index()).copied().unwrap_or(false));
+        let rule = if is_near { self.near_boundary } else { self.rule };
+        let outcome = kit.smoother.smooth(store, vertex, &BiasedSine, rule);
+        store.release_claims();
+        kit.tally.smoothed += u64::from(outcome == Outcome::Accepted);
+        Ok(if outcome == Outcome::ClaimLost { Attempt::ClaimLost } else { Attempt::Done })
     }
+}
 
-    /// Reconnects from every tet of `tets`, which is replaced by those and all new ones.
-    ///
-    /// # Errors
-    /// As [`Driver::insert`].
-    pub fn reconnect(
-        &mut self,
-        complex: &mut TetComplex,
-        tets: &mut Vec<TetId>,
-        objective: Objective,
-        four: FourFour,
-        repeats: usize,
-    ) -> Result<()> {
-        let mut begin = 0;
-        for _ in 0..repeats.min(16) {
-            let end = tets.len();
-            for at in begin..end {
-                if at % 1024 == 0 {
-                    self.context.check()?;
-                }
-                let tet = tets[at];
-                if complex.is_live(tet) {
-                    self.worker.reconnect_from(complex, tet, objective, four, BUDGET)?;
-                }
-            }
-            begin = end;
-            tets.append(&mut self.worker.fresh);
-            if tets.len() == end {
-                break;
-            }
-        }
-        Ok(())
-    }
+struct CollapseJob;
 
-    /// Collapses edges shorter than `factor` times the smaller size of their ends, where one end is free to go and no
-    /// tet around gets worse than the worst of them was.
-    ///
-    /// # Errors
-    /// As [`Driver::insert`].
-    pub fn collapse_small_edges(&mut self, complex: &mut TetComplex, sizes: &[f64], factor: f64) -> Result<usize> {
-        let reader = &*complex;
-        let mut short: Vec<[VertexId; 2]> = self.context.install(|| {
-            (0..reader.slot_count())
-                .into_par_iter()
-                .with_min_len(2048)
-                .flat_map_iter(|i| short_edges(reader, sizes, TetId::from_index(i), factor))
-                .collect()
-        });
-        short.par_sort_unstable();
-        short.dedup();
-        let mut collapsed = 0;
-        for [a, b] in short {
-            for (vertex, target) in [(a, b), (b, a)] {
-                if complex.tet_of(vertex) == TetId::NONE || complex.tet_of(target) == TetId::NONE {
-                    continue;
-                }
-                let scratch = &mut self.worker.scratch;
-                let outcome = plan_contraction(complex, vertex, target, &BiasedSine, Accept::Better, scratch);
-                if outcome == Outcome::Accepted {
-                    self.worker.commit(complex)?;
-                    collapsed += 1;
-                    break;
-                }
-            }
-        }
-        self.worker.fresh.clear();
-        self.collapsed += collapsed as u64;
-        Ok(collapsed)
-    }
+impl Job for CollapseJob {
+    type Item = [VertexId; 2];
 
-    /// Smooths vertices; those with a neighbour on the boundary move `boundary_factor` of the way.
-    ///
-    /// # Errors
-    /// As [`Driver::insert`].
-    pub fn smooth(
-        &mut self,
-        complex: &mut TetComplex,
-        vertices: &[VertexId],
-        rule: &SmoothingRule,
-        boundary_factor: f64,
-    ) -> Result<()> {
-        let _ = boundary_factor;
-        for (number, &vertex) in vertices.iter().enumerate() {
-            if number % 1024 == 0 {
-                self.context.check()?;
-            }
-            self.smoothed += u64::from(self.smoother.smooth(complex, vertex, &BiasedSine, rule) == Outcome::Accepted);
-        }
-        Ok(())
-    }
-
-    /// Improves bad tets one by one; returns how many operations were carried out.
-    ///
-    /// # Errors
-    /// As [`Driver::insert`].
-    pub fn treat(
-        &mut self,
-        complex: &mut TetComplex,
-        sizes: &mut Vec<f64>,
-        bad: &[TetId],
-        treatment: &Treatment,
-    ) -> Result<usize> {
-        let mut done = 0;
-        for (number, &tet) in bad.iter().enumerate() {
-            if number % 256 == 0 {
-                self.context.check()?;
-            }
-            if !complex.is_live(tet) || BiasedSine.grade(complex.points_of(tet)) >= treatment.goal {
+    fn attempt<S: TetStore>(&self, store: &mut S, kit: &mut Kit, [a, b]: [VertexId; 2]) -> Result<Attempt> {
+        for (vertex, target) in [(a, b), (b, a)] {
+            if store.tet_of(vertex) == TetId::NONE || store.tet_of(target) == TetId::NONE {
                 continue;
             }
-            done += usize::from(self.treat_tet(complex, sizes, tet, treatment)?);
-        }
-        self.worker.fresh.clear();
-        Ok(done)
-    }
-
-    fn treat_tet(
-        &mut self,
-        complex: &mut TetComplex,
-        sizes: &mut Vec<f64>,
-        tet: TetId,
-        treatment: &Treatment,
-    ) -> Result<bool> {
-        let row = complex.vertices(tet);
-        for [a, b] in TET_EDGES {
-            let start = ShellTet::new(tet, a, b);
-            let scratch = &mut self.worker.scratch;
-            let outcome = plan_edge_removal(complex, start, treatment.edge_limit, &BiasedSine, Accept::Better, scratch);
-            if outcome == Outcome::Accepted {
-                self.worker.commit(complex)?;
-                return Ok(true);
+            let scratch = &mut kit.reconnector.scratch;
+            match plan_contraction(store, vertex, target, &BiasedSine, Accept::Better, scratch) {
+                Outcome::Accepted => {
+                    let committed = kit.reconnector.commit(store)?;
+                    store.release_claims();
+                    if committed {
+                        kit.tally.collapsed += 1;
+                        kit.removed.push(vertex);
+                        break;
+                    }
+                }
+                Outcome::ClaimLost => {
+                    store.release_claims();
+                    return Ok(Attempt::ClaimLost);
+                }
+                _ => store.release_claims(),
             }
         }
-        for face in 0..4 {
-            let scratch = &mut self.worker.scratch;
-            let side = TetFace::new(tet, face);
-            if plan_face_removal(complex, side, &BiasedSine, Accept::Better, scratch) == Outcome::Accepted {
-                self.worker.commit(complex)?;
-                return Ok(true);
-            }
-        }
-        let mut moved = false;
-        for vertex in row {
-            moved |= self.smoother.optimize(complex, vertex, &BiasedSine) == Outcome::Accepted;
-        }
-        if moved && BiasedSine.grade(complex.points_of(tet)) >= treatment.goal {
-            return Ok(true);
-        }
-        if !treatment.changes_vertices {
-            return Ok(moved);
-        }
-        for vertex in row {
-            let scratch = &mut self.worker.scratch;
-            if plan_vertex_removal(complex, vertex, &BiasedSine, Accept::Better, scratch) == Outcome::Accepted {
-                self.worker.commit(complex)?;
-                self.removed += 1;
-                return Ok(true);
-            }
-        }
-        let average = row.iter().map(|v| sizes[v.index()]).sum::<f64>() / 4.0;
-        let vertex = complex.push_point(glam::DVec3::ZERO)?;
-        sizes.push(average);
-        let (outcome, place) =
-            plan_sliver_insertion(complex, tet, vertex, &BiasedSine, &mut self.slivers, &mut self.worker.scratch);
-        if outcome == Outcome::Accepted {
-            complex.set_point(vertex, place);
-            self.worker.commit(complex)?;
-            self.inserted += 1;
-            return Ok(true);
-        }
-        complex.truncate_points(vertex.index());
-        sizes.truncate(vertex.index());
-        Ok(moved)
+        Ok(Attempt::Done)
     }
 }
 
@@ -307,14 +209,434 @@ pub struct Treatment {
 
 impl Treatment {
     /// Edge and face removal and moves of vertices.
-    pub fn topological() -> Self {
-        Self { edge_limit: 8, changes_vertices: false, goal: 0.41 }
+    pub fn topological(goal: f64) -> Self {
+        Self { edge_limit: 8, changes_vertices: false, goal }
     }
 
     /// All operations.
-    pub fn everything() -> Self {
-        Self { edge_limit: 10, changes_vertices: true, goal: 0.41 }
+    pub fn everything(goal: f64) -> Self {
+        Self { edge_limit: 10, changes_vertices: true, goal }
     }
+}
+
+struct TreatJob<'a> {
+    sizes: &'a [f64],
+    treatment: &'a Treatment,
+}
+
+impl TreatJob<'_> {
+    /// Edge and face removal.
+    fn reconnect<S: TetStore>(&self, store: &mut S, kit: &mut Kit, tet: TetId) -> Result<Outcome> {
+        let mut lost = false;
+        for option in 0..10 {
+            let scratch = &mut kit.reconnector.scratch;
+            let outcome = if option < 6 {
+                let [a, b] = TET_EDGES[option];
+                let start = ShellTet::new(tet, a, b);
+                plan_edge_removal(store, start, self.treatment.edge_limit, &BiasedSine, Accept::Better, scratch)
+            } else {
+                plan_face_removal(store, TetFace::new(tet, option - 6), &BiasedSine, Accept::Better, scratch)
+            };
+            let done = outcome == Outcome::Accepted && kit.reconnector.commit(store)?;
+            store.release_claims();
+            if done {
+                return Ok(Outcome::Accepted);
+            }
+            lost |= outcome == Outcome::ClaimLost;
+        }
+        Ok(if lost { Outcome::ClaimLost } else { Outcome::WorsensQuality })
+    }
+
+    /// Vertex removal, then insertion.
+    fn change_vertices<S: TetStore>(
+        &self,
+        store: &mut S,
+        kit: &mut Kit,
+        tet: TetId,
+        row: [VertexId; 4],
+    ) -> Result<Outcome> {
+        let mut lost = false;
+        for vertex in row {
+            let scratch = &mut kit.reconnector.scratch;
+            let outcome = plan_vertex_removal(store, vertex, &BiasedSine, Accept::Better, scratch);
+            let done = outcome == Outcome::Accepted && kit.reconnector.commit(store)?;
+            store.release_claims();
+            if done {
+                kit.tally.removed += 1;
+                kit.removed.push(vertex);
+                return Ok(Outcome::Accepted);
+            }
+            lost |= outcome == Outcome::ClaimLost;
+        }
+        let Some(vertex) = kit.spare.pop() else { return Ok(Outcome::NotApplicable) };
+        let Kit { slivers, reconnector, .. } = kit;
+        let (outcome, place) =
+            plan_sliver_insertion(store, tet, vertex, &BiasedSine, slivers, &mut reconnector.scratch);
+        if outcome == Outcome::Accepted {
+            store.set_point(vertex, place);
+            if reconnector.commit(store)? {
+                store.release_claims();
+                let known = row.iter().filter_map(|v| self.sizes.get(v.index()).copied());
+                kit.new_sizes.push((vertex, known.clone().sum::<f64>() / known.count().max(1) as f64));
+                kit.tally.inserted += 1;
+                return Ok(Outcome::Accepted);
+            }
+        }
+        store.release_claims();
+        kit.spare.push(vertex);
+        Ok(if lost { Outcome::ClaimLost } else { outcome })
+    }
+}
+
+impl Job for TreatJob<'_> {
+    type Item = TetId;
+
+    fn attempt<S: TetStore>(&self, store: &mut S, kit: &mut Kit, tet: TetId) -> Result<Attempt> {
+        if !store.try_claim_tet(tet) {
+            let gone = !store.is_live(tet);
+            store.release_claims();
+            return Ok(if gone { Attempt::Done } else { Attempt::ClaimLost });
+        }
+        let row = store.vertices(tet);
+        let is_good =
+            row.contains(&VertexId::GHOST) || BiasedSine.grade(row.map(|v| store.point(v))) >= self.treatment.goal;
+        store.release_claims();
+        if is_good {
+            return Ok(Attempt::Done);
+        }
+        match self.reconnect(store, kit, tet)? {
+            Outcome::Accepted => {
+                kit.tally.done += 1;
+                return Ok(Attempt::Done);
+            }
+            Outcome::ClaimLost => return Ok(Attempt::ClaimLost),
+            _ => {}
+        }
+        let mut moved = false;
+        for vertex in row {
+            moved |= kit.smoother.optimize(store, vertex, &BiasedSine) == Outcome::Accepted;
+            store.release_claims();
+        }
+        if !moved && self.treatment.changes_vertices {
+            match self.change_vertices(store, kit, tet, row)? {
+                Outcome::Accepted => moved = true,
+                Outcome::ClaimLost => return Ok(Attempt::ClaimLost),
+                _ => {}
+            }
+        }
+        kit.tally.done += u64::from(moved);
+        Ok(Attempt::Done)
+    }
+}
+
+/// A thread's view, kit and job.
+struct Thread<'a, 'b, J> {
+    store: ClaimedTets<'a>,
+    kit: Kit,
+    job: &'b J,
+}
+
+impl<J: Job> Worker for Thread<'_, '_, J> {
+    type Item = J::Item;
+
+    fn attempt(&mut self, item: &J::Item, _more: &mut Vec<J::Item>) -> Result<Attempt> {
+        if !self.store.has_room(ATTEMPT_ROOM) {
+            return Ok(Attempt::NoRoom);
+        }
+        self.job.attempt(&mut self.store, &mut self.kit, *item)
+    }
+}
+
+/// Runs passes and counts.
+pub struct Driver {
+    context: RunContext,
+    threads: usize,
+    settings: WorkSettings,
+    sorts: bool,
+    kits: Vec<Kit>,
+    spare: Vec<VertexId>,
+    flips: FlipCounts,
+    speculative: SpeculativeCounts,
+}
+
+impl Driver {
+    /// The driver of refinement.
+    pub fn for_refinement(options: &Options, context: &RunContext) -> Self {
+        let threads = limited(options.refinement_threads, context.threads());
+        let mut settings = WorkSettings::for_threads(threads);
+        if options.buckets > 0 {
+            settings.buckets = options.buckets;
+        }
+        settings.transfer_share = options.transfer_fraction;
+        settings.transfer_decay = options.transfer_reduction;
+        Self::new(context, threads, settings, options.sort_new_points)
+    }
+
+    /// The driver of quality improvement.
+    pub fn for_quality(options: &Options, context: &RunContext) -> Self {
+        let refinement = limited(options.refinement_threads, context.threads());
+        let threads = limited(options.quality_threads, refinement);
+        let mut settings = WorkSettings::for_threads(threads);
+        if options.quality_buckets > 0 {
+            settings.buckets = options.quality_buckets;
+        }
+        settings.transfer_share = options.quality_transfer_fraction;
+        settings.transfer_decay = options.quality_transfer_reduction;
+        Self::new(context, threads, settings, options.sort_quality)
+    }
+
+    fn new(context: &RunContext, threads: usize, settings: WorkSettings, sorts: bool) -> Self {
+        Self {
+            context: context.clone(),
+            threads,
+            settings,
+            sorts,
+            kits: vec![Kit::default(); threads],
+            spare: Vec::new(),
+            flips: FlipCounts::default(),
+            speculative: SpeculativeCounts::default(),
+        }
+    }
+
+    /// The flip counts since the last call.
+    pub fn take_counts(&mut self) -> FlipCounts {
+        let mut counts = FlipCounts::default();
+        for kit in &mut self.kits {
+            counts.add(std::mem::take(&mut kit.reconnector.counts));
+        }
+        self.flips.add(counts);
+        counts
+    }
+
+    /// Adds the figures of all passes.
+    pub fn record(&self, figures: &mut Statistics, prefix: &str) {
+        let sum = |pick: fn(&Tally) -> u64| self.kits.iter().map(|k| pick(&k.tally)).sum::<u64>() as f64;
+        for (name, value) in [
+            ("threads", self.threads as f64),
+            ("edges_collapsed", sum(|t| t.collapsed)),
+            ("vertices_smoothed", sum(|t| t.smoothed)),
+            ("vertices_removed", sum(|t| t.removed)),
+            ("vertices_inserted", sum(|t| t.inserted)),
+            ("attempts", self.speculative.attempts as f64),
+            ("attempts_lost", self.speculative.lost as f64),
+            ("finished_alone", self.speculative.finished_alone as f64),
+            ("bucket_transfers", self.speculative.transfers as f64),
+        ] {
+            figures.set(format!("{prefix}.{name}"), value);
+        }
+    }
+
+    /// Does all items, on as many threads as the pass is worth.
+    fn run<J: Job>(&mut self, complex: &mut TetComplex, job: &J, items: Vec<J::Item>, room: usize) -> Result<()> {
+        if self.threads == 1 || items.len() < MIN_PARALLEL {
+            return self.run_alone(complex, job, &items);
+        }
+        let mut items = items;
+        for _ in 0..ROOM_ROUNDS {
+            if items.is_empty() {
+                return Ok(());
+            }
+            let kits = std::mem::take(&mut self.kits);
+            let room = room.min(items.len().saturating_mul(2 * TETS_PER_INSERT)) + 4 * self.threads * ATTEMPT_ROOM;
+            let (context, settings) = (&self.context, self.settings);
+            let (result, kits) = with_claims(complex, self.threads, room, |views| {
+                let mut threads: Vec<Thread<J>> =
+                    views.into_iter().zip(kits).map(|(store, kit)| Thread { store, kit, job }).collect();
+                let result = run_speculative(context, &mut threads, items, settings);
+                (result, threads.into_iter().map(|t| t.kit).collect::<Vec<_>>())
+            })?;
+            self.kits = kits;
+            let (counts, left) = result?;
+            self.speculative.add(counts);
+            items = left;
+        }
+        self.run_alone(complex, job, &items)
+    }
+
+    fn run_alone<J: Job>(&mut self, complex: &mut TetComplex, job: &J, items: &[J::Item]) -> Result<()> {
+        for (number, &item) in items.iter().enumerate() {
+            if number % CHECK_INTERVAL == 0 {
+                self.context.check()?;
+            }
+            job.attempt(complex, &mut self.kits[0], item)?;
+        }
+        Ok(())
+    }
+
+    /// Finishes the flips that lost a claim in the middle of a cascade; returns all new tets since the last call.
+    fn finish_lost(&mut self, complex: &mut TetComplex, objective: Objective, four: FourFour) -> Result<Vec<TetId>> {
+        let mut lost: Vec<TetFace> = Vec::new();
+        let mut fresh = Vec::new();
+        for kit in &mut self.kits {
+            lost.append(&mut kit.reconnector.lost);
+        }
+        for side in lost {
+            self.kits[0].reconnector.reconnect_face(complex, side, objective, four)?;
+        }
+        for kit in &mut self.kits {
+            kit.reconnector.lost.clear();
+            fresh.append(&mut kit.reconnector.fresh);
+        }
+        Ok(fresh)
+    }
+
+    /// Inserts vertices; returns those that were not inserted. `fresh` gains the tets that are new.
+    ///
+    /// # Errors
+    /// [`crate::error::Error::Cancelled`], or what the store refuses.
+    pub fn insert(
+        &mut self,
+        complex: &mut TetComplex,
+        sizes: &[f64],
+        inserts: Vec<Insert>,
+        rule: &InsertionRule,
+        fresh: &mut Vec<TetId>,
+    ) -> Result<Vec<VertexId>> {
+        let mut inserts = inserts;
+        if self.sorts {
+            sort_along_curve(complex, &mut inserts, |i| i.vertex)?;
+        }
+        self.kits.iter_mut().for_each(|kit| kit.last = None);
+        let room = TETS_PER_INSERT * inserts.len();
+        self.run(complex, &InsertJob { sizes, rule }, inserts, room)?;
+        fresh.append(&mut self.finish_lost(complex, Objective::InSphere, FourFour::Off)?);
+        Ok(self.kits.iter_mut().flat_map(|kit| std::mem::take(&mut kit.rejected)).collect())
+    }
+
+    /// Reconnects from every tet of `tets`, which is replaced by those and all new ones; up to `repeats` times from
+    /// what is new.
+    ///
+    /// # Errors
+    /// As [`Driver::insert`].
+    pub fn reconnect(
+        &mut self,
+        complex: &mut TetComplex,
+        tets: &mut Vec<TetId>,
+        objective: Objective,
+        four: FourFour,
+        repeats: usize,
+    ) -> Result<()> {
+        let mut begin = 0;
+        for _ in 0..repeats.min(16) {
+            let end = tets.len();
+            let mut items = tets[begin..end].to_vec();
+            if self.sorts {
+                sort_along_curve(complex, &mut items, |t| complex.vertices(*t)[0])?;
+            }
+            self.run(complex, &ReconnectJob { objective, four }, items, end)?;
+            begin = end;
+            tets.append(&mut self.finish_lost(complex, objective, four)?);
+            if tets.len() == end {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Collapses edges shorter than `factor` times the smaller size of their ends, where one end is free to go and no
+    /// tet around gets worse than the worst of them was.
+    ///
+    /// # Errors
+    /// As [`Driver::insert`].
+    pub fn collapse_small_edges(&mut self, complex: &mut TetComplex, sizes: &[f64], factor: f64) -> Result<()> {
+        let reader = &*complex;
+        let short: Vec<[VertexId; 2]> = self.context.install(|| {
+            let mut short: Vec<[VertexId; 2]> = (0..reader.slot_count())
+                .into_par_iter()
+                .with_min_len(2048)
+                .flat_map_iter(|i| short_edges(reader, sizes, TetId::from_index(i), factor))
+                .collect();
+            short.par_sort_unstable();
+            short.dedup();
+            short
+        });
+        self.run(complex, &CollapseJob, short, ATTEMPT_ROOM)?;
+        self.finish_lost(complex, Objective::EdgeWeight, FourFour::Off).map(|_| ())
+    }
+
+    /// Smooths vertices; those with a neighbour on the boundary move `boundary_factor` of the way.
+    ///
+    /// # Errors
+    /// As [`Driver::insert`].
+    pub fn smooth(
+        &mut self,
+        complex: &mut TetComplex,
+        vertices: &[VertexId],
+        on_boundary: &[bool],
+        rule: &SmoothingRule,
+        boundary_factor: f64,
+    ) -> Result<()> {
+        let near_boundary = SmoothingRule { coefficient: rule.coefficient * boundary_factor, ..*rule };
+        let job = SmoothJob { rule, near_boundary: &near_boundary, on_boundary };
+        self.run(complex, &job, vertices.to_vec(), 0)
+    }
+
+    /// Improves bad tets one by one; returns how many operations were carried out.
+    ///
+    /// # Errors
+    /// As [`Driver::insert`].
+    pub fn treat(
+        &mut self,
+        complex: &mut TetComplex,
+        sizes: &mut Vec<f64>,
+        bad: Vec<TetId>,
+        treatment: &Treatment,
+    ) -> Result<usize> {
+        let before: u64 = self.kits.iter().map(|k| k.tally.done).sum();
+        if treatment.changes_vertices {
+            self.deal_spares(complex, sizes, bad.len())?;
+        }
+        let room = 4 * bad.len();
+        self.run(complex, &TreatJob { sizes, treatment }, bad, room)?;
+        for kit in &mut self.kits {
+            for (vertex, size) in kit.new_sizes.drain(..) {
+                sizes[vertex.index()] = size;
+            }
+            self.spare.append(&mut kit.spare);
+            self.spare.append(&mut kit.removed);
+        }
+        self.finish_lost(complex, Objective::EdgeWeight, FourFour::Off)?;
+        let after: u64 = self.kits.iter().map(|k| k.tally.done).sum();
+        Ok((after - before) as usize)
+    }
+
+    /// Gives every thread spare vertices, enough for each bad tet to take one.
+    fn deal_spares(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>, wanted: usize) -> Result<()> {
+        for kit in &mut self.kits {
+            self.spare.append(&mut kit.removed);
+        }
+        while self.spare.len() < wanted + self.threads {
+            self.spare.push(complex.push_point(glam::DVec3::ZERO)?);
+            sizes.push(0.0);
+        }
+        let share = self.spare.len().div_ceil(self.threads);
+        for kit in &mut self.kits {
+            let keep = self.spare.len().saturating_sub(share);
+            kit.spare.extend(self.spare.drain(keep..));
+        }
+        Ok(())
+    }
+}
+
+/// The option's thread count, or all; never more than there are.
+fn limited(option: usize, all: usize) -> usize {
+    if option == 0 { all } else { option.min(all) }.max(1)
+}
+
+/// Sorts items along a Hilbert curve through their points (`sortp`).
+fn sort_along_curve<T: Copy>(
+    complex: &TetComplex,
+    items: &mut Vec<T>,
+    vertex_of: impl Fn(&T) -> VertexId,
+) -> Result<()> {
+    let place = |item: &T| {
+        let vertex = vertex_of(item);
+        if vertex.is_ghost() { glam::DVec3::ZERO } else { complex.point(vertex) }
+    };
+    let points: Vec<glam::DVec3> = items.iter().map(place).collect();
+    let order = crate::geometry::spatial_sort::hilbert_order(&points)?;
+    *items = order.into_iter().map(|i| items[i as usize]).collect();
+    Ok(())
 }
 
 fn short_edges(complex: &TetComplex, sizes: &[f64], tet: TetId, factor: f64) -> impl Iterator<Item = [VertexId; 2]> {

@@ -29,6 +29,7 @@ use super::flip_criteria::{BiasedSine, TetMeasure};
 use super::local_reconnection::{FourFour, Objective};
 use super::options::Options;
 use super::parallel_reconnection::{Driver, Treatment};
+use super::refinement::boundary_triangles;
 use super::smoothing::{Acceptance, SmoothingRule, Target};
 use crate::context::RunContext;
 use crate::error::Result;
@@ -98,6 +99,13 @@ fn vertices_of(complex: &TetComplex, tets: &[TetId]) -> Vec<VertexId> {
     vertices.sort_unstable();
     vertices.dedup();
     vertices
+}
+
+/// Which vertices lie on the boundary.
+fn boundary_vertices(complex: &TetComplex) -> Vec<bool> {
+    let mut marks = vec![false; complex.vertex_count()];
+    boundary_triangles(complex).as_flattened().iter().for_each(|v| marks[v.index()] = true);
+    marks
 }
 
 /// Improves the mesh and returns the figures; `sizes` has one entry per vertex and grows with them.
@@ -181,18 +189,19 @@ fn improvement_pass(
         coefficient: options.smoothing_coefficient,
         acceptance: if options.smart_smoothing { Acceptance::Smart } else { Acceptance::Valid },
     };
+    let on_boundary = boundary_vertices(complex);
     for _ in 0..options.smoothing_iterations {
-        driver.smooth(complex, &vertices, &rule, options.boundary_smoothing_factor)?;
+        driver.smooth(complex, &vertices, &on_boundary, &rule, options.boundary_smoothing_factor)?;
     }
     // The grade that the masking angle has; small angles of the same grade count as well.
     let mask = BiasedSine::grade_of_angles(90.0, options.mask_angle);
     let goal = mask.min(BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1));
     let bad = tets_below(complex, context, goal);
-    driver.treat(complex, sizes, &bad, &Treatment::topological())?;
+    driver.treat(complex, sizes, bad, &Treatment::topological(goal))?;
     if options.delete_field_slivers {
         for _ in 0..options.field_sliver_repeats {
             let slivers = tets_above(complex, context, options.field_sliver_angle);
-            if slivers.is_empty() || driver.treat(complex, sizes, &slivers, &Treatment::everything())? == 0 {
+            if slivers.is_empty() || driver.treat(complex, sizes, slivers, &Treatment::everything(goal))? == 0 {
                 break;
             }
         }
@@ -208,11 +217,12 @@ fn improve_worst(
     driver: &mut Driver,
 ) -> Result<()> {
     let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
-    let treatment = if options.delete_field_slivers { Treatment::everything() } else { Treatment::topological() };
+    let treatment =
+        if options.delete_field_slivers { Treatment::everything(goal) } else { Treatment::topological(goal) };
     for _ in 0..WORST_ROUNDS {
         context.check()?;
         let bad = tets_below(complex, context, goal);
-        if bad.is_empty() || driver.treat(complex, sizes, &bad, &treatment)? == 0 {
+        if bad.is_empty() || driver.treat(complex, sizes, bad, &treatment)? == 0 {
             break;
         }
     }

@@ -257,8 +257,9 @@ fn refine_round(
         snap_tolerance: if options.snap_location { options.location_tolerance } else { 0.0 },
     };
     let mut fresh = Vec::new();
-    let rejected = driver.insert(complex, sizes, &inserts, &rule, &mut fresh)?;
-    round.inserted = inserts.len() - rejected.len();
+    let count = inserts.len();
+    let rejected = driver.insert(complex, sizes, inserts, &rule, &mut fresh)?;
+    round.inserted = count - rejected.len();
     unused.extend(rejected);
     let objective = match options.reconnection_criterion {
         1 => Objective::InSphere,

@@ -36,6 +36,8 @@ pub enum Insertion {
     Outside,
     /// Another thread held what it needs.
     ClaimLost,
+    /// The store has no room for its tets.
+    NoRoom,
 }
 
 /// How insertions are done.
@@ -63,7 +65,8 @@ pub fn insert_vertex<S: TetStore + ?Sized>(
     let tet = match walk(store, start, point) {
         Walk::Inside(tet) => tet,
         Walk::Blocked => return Ok(Insertion::Outside),
-        Walk::Lost => return Ok(Insertion::ClaimLost),
+        // Too far, or the start is gone: not worth another attempt.
+        Walk::Lost => return Ok(Insertion::Outside),
     };
     if !store.try_claim(vertex) || !store.try_claim_tet(tet) {
         store.release_claims();
@@ -81,7 +84,10 @@ pub fn insert_vertex<S: TetStore + ?Sized>(
     }
     let result = match outcome {
         Outcome::Accepted => {
-            reconnector.commit(store)?;
+            if !reconnector.commit(store)? {
+                store.release_claims();
+                return Ok(Insertion::NoRoom);
+            }
             store.release_claims();
             reconnector.reconnect_around(store, vertex)?;
             Insertion::Inserted

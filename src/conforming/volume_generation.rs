@@ -68,9 +68,10 @@ pub fn generate_volume(
     sizes.iter_mut().for_each(|size| *size = size.min(limit));
     let limits = input.region_limits.iter().map(|l| l.unwrap_or(f64::INFINITY)).collect();
     let field = free.with_limits(limit, limits);
-    if options.refine {
-        figures.extend(&refine(complex, &mut sizes, &field, options, context)?);
+    if !options.refine {
+        return Ok(figures);
     }
+    figures.extend(&refine(complex, &mut sizes, &field, options, context)?);
     if options.count_slivers {
         let slivers = super::quality_improvement::sliver_count(complex, context);
         figures.set("refinement.slivers", slivers as f64);
