@@ -30,7 +30,7 @@ const WORKER_PREFIX: &str = "meshwright-";
 
 /// Runs the body of an exported function.
 pub fn guard(body: impl FnOnce() -> Result<()>) -> mw_status {
-    guard_or(MW_E_INTERNAL, || body().map(|()| MW_OK), |error| status_of(error))
+    guard_or(MW_E_INTERNAL, || body().map(|()| MW_OK), status_of)
 }
 
 /// Runs the body of an exported function that returns a value instead of a status; `fallback` after an error.

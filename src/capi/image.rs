@@ -26,6 +26,7 @@ pub struct mw_image {
     content: Content,
 }
 
+#[allow(clippy::large_enum_variant)] // one per handle, behind a pointer of its own
 enum Content {
     Owned(Arc<VoxelImage>),
     Borrowed(BorrowedVoxels),

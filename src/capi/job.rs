@@ -602,8 +602,8 @@ pub unsafe extern "C" fn mw_job_run(job: *mut mw_job) -> mw_status {
         // SAFETY: the C caller's promise about the handle.
         let cancel = &unsafe { borrow(job, "job") }?.cancel;
         // SAFETY: as above.
-        let outcome = unsafe { with_job(job, |state| finish(cancel, || state.run(cancel))) };
-        outcome
+
+        unsafe { with_job(job, |state| finish(cancel, || state.run(cancel))) }
     })
 }
 

@@ -60,10 +60,10 @@ pub fn to_vtp(surface: &SurfaceMesh, findings: &[Finding]) -> String {
     for (number, finding) in findings.iter().enumerate() {
         let [first, second] = finding.ids;
         match finding.code {
-            FindingCode::OpenEdge | FindingCode::NonManifoldEdge | FindingCode::NearlyCoincidentPoints => {
-                if is_point(first) && is_point(second) {
-                    lines.push(&[first, second], number);
-                }
+            FindingCode::OpenEdge | FindingCode::NonManifoldEdge | FindingCode::NearlyCoincidentPoints
+                if is_point(first) && is_point(second) =>
+            {
+                lines.push(&[first, second], number);
             }
             FindingCode::DuplicateTriangle
             | FindingCode::DegenerateTriangle

@@ -59,7 +59,7 @@ const fn single_steps() -> [[(u8, u8); 8]; 24] {
             let (local_entry, local_direction) = if place == 0 {
                 (0, 0)
             } else {
-                let ones = if place % 2 == 0 { place - 1 } else { place };
+                let ones = if place.is_multiple_of(2) { place - 1 } else { place };
                 (gray(2 * ((place - 1) / 2)), (ones.trailing_ones() % 3) as usize)
             };
             let next_entry = entry ^ rotate_left(local_entry, direction + 1);

@@ -221,7 +221,7 @@ mod tests {
             let voxels: Vec<Label> = (0..504)
                 .map(|_| {
                     state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-                    Label(if (state >> 40) % 3 == 0 { ((state >> 33) % labels) as u16 } else { 1 })
+                    Label(if (state >> 40).is_multiple_of(3) { ((state >> 33) % labels) as u16 } else { 1 })
                 })
                 .collect();
             let image = LabelImage::new(grid, voxels, (0..labels as i32).collect()).unwrap();

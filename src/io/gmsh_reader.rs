@@ -129,7 +129,7 @@ impl Gmsh {
                 ("$Elements", false) => self.read_elements_22()?,
                 (name, _) if name.starts_with("$End") => continue,
                 (name, _) if name.starts_with('$') => {
-                    self.skip_section(&name[1..].to_owned())?;
+                    self.skip_section(&name[1..])?;
                     continue;
                 }
                 _ => return Err(self.scan.refuse("a section should begin here")),

@@ -242,7 +242,7 @@ impl Binary<'_> {
 }
 
 /// Elements of one kind with their block.
-fn element_rows<'a>(mesh: &'a MixedMesh, vtk_type: u8) -> impl Iterator<Item = (&'a [VertexId], i32)> {
+fn element_rows(mesh: &MixedMesh, vtk_type: u8) -> impl Iterator<Item = (&[VertexId], i32)> {
     (0..mesh.element_count()).filter(move |&i| mesh.types[i] == vtk_type).map(|i| (mesh.element(i).1, mesh.labels[i]))
 }
 

@@ -50,7 +50,7 @@ pub fn read(path: &Path) -> Result<VoxelImage> {
         return Err(header.refuse(format!("{components} channels")));
     }
     let components = components as usize;
-    let count = grid.voxel_count().checked_mul(components).unwrap_or(usize::MAX);
+    let count = grid.voxel_count().saturating_mul(components);
     let data = header.read_data(reader, kind, count)?;
     VoxelImage::new(grid, components, data)
 }

@@ -88,7 +88,7 @@ pub fn read(path: &Path) -> Result<VoxelImage> {
     let first = if header.paired { 0.0 } else { VOXELS_AT as f64 };
     stream.skip_to(header.vox_offset.max(first) as u64)?;
     // The fifth axis is the slowest: components come as one block each.
-    let count = grid.voxel_count().checked_mul(components).unwrap_or(usize::MAX);
+    let count = grid.voxel_count().saturating_mul(components);
     let data = stream.read_voxels(kind, count, header.order)?;
     let mut data = scaled(data, header.slope, header.inter);
     if header.intent == i32::from(INTENT_DISPLACEMENT) && components == 3 {

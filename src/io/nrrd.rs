@@ -55,7 +55,7 @@ pub fn read(path: &Path) -> Result<VoxelImage> {
     let kind = header.voxel_type()?;
     let axes = header.axes()?;
     let grid = header.grid(&axes)?;
-    let count = grid.voxel_count().checked_mul(axes.components).unwrap_or(usize::MAX);
+    let count = grid.voxel_count().saturating_mul(axes.components);
     let data = header.read_data(reader, kind, count)?;
     let data = if axes.component_axis == Some(3) {
         // Components slowest: one block each.

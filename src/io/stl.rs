@@ -191,7 +191,6 @@ pub fn write_binary(surface: &SurfaceMesh, title: &str, out: &mut dyn Write) -> 
 
 #[cfg(test)]
 mod tests {
-    use super::*;
 
     #[test]
     fn reads_indented_text_with_blank_lines_and_merges_equal_points() {

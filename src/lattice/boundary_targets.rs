@@ -121,7 +121,7 @@ pub fn outside_of([a, b, c]: [DVec3; 3], surface: &SubvoxelSurface) -> Side {
     let label = surface.nearest_label(far);
     let border = surface.nearest_border(probe);
     let (axis, at) = surface.border(border);
-    let beyond = if border % 2 == 0 { at - probe[axis] } else { probe[axis] - at };
+    let beyond = if border.is_multiple_of(2) { at - probe[axis] } else { probe[axis] - at };
     let near_border = beyond > -0.5 * surface.spacing()[axis];
     if near_border && !label.is_background() { Side::Border(border) } else { Side::Label(Label::BACKGROUND) }
 }

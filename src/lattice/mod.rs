@@ -103,7 +103,7 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
     let mut report = Report::default();
     check_labels(original, options)?;
     context.progress("clean-up", 0.0);
-    let clean = report.timed("cleanup", || Ok::<_, Error>(voxel_cleanup::clean(original, options, context)?))?;
+    let clean = report.timed("cleanup", || voxel_cleanup::clean(original, options, context))?;
     let CleanImage { image, values, figures } = clean;
     report.merge(&figures);
     let targets = Targets::new(&values, options)?;

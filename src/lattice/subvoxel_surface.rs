@@ -94,7 +94,7 @@ impl<'a> SubvoxelSurface<'a> {
     /// Position of a border plane along its axis, mm.
     pub fn border(&self, plane: u8) -> (usize, f64) {
         let axis = usize::from(plane / 2);
-        let voxel = if plane % 2 == 0 { -0.5 } else { self.size[axis] as f64 - 0.5 };
+        let voxel = if plane.is_multiple_of(2) { -0.5 } else { self.size[axis] as f64 - 0.5 };
         (axis, voxel * self.spacing[axis])
     }
 
@@ -102,7 +102,7 @@ impl<'a> SubvoxelSurface<'a> {
     pub fn nearest_border(&self, point: DVec3) -> u8 {
         let beyond = |plane: u8| {
             let (axis, at) = self.border(plane);
-            if plane % 2 == 0 { at - point[axis] } else { point[axis] - at }
+            if plane.is_multiple_of(2) { at - point[axis] } else { point[axis] - at }
         };
         (0..6).max_by(|l, r| beyond(*l).total_cmp(&beyond(*r))).unwrap_or(0)
     }
@@ -196,11 +196,11 @@ impl<'a> SubvoxelSurface<'a> {
         let labels = || sides.iter().filter_map(|s| if let Side::Label(l) = s { Some(*l) } else { None });
         let mut first = None;
         for label in labels() {
-            if let Some(before) = first {
-                if let Some((distance, normal)) = self.signed_distance(point, before, label) {
-                    add(distance, normal);
-                    single = Some(-normal * distance);
-                }
+            if let Some(before) = first
+                && let Some((distance, normal)) = self.signed_distance(point, before, label)
+            {
+                add(distance, normal);
+                single = Some(-normal * distance);
             }
             first = Some(label);
         }

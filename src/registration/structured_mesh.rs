@@ -144,7 +144,7 @@ mod tests {
             let voxels = (0..960)
                 .map(|at| {
                     let i = at % 12;
-                    Label(if (2..8).contains(&i) { 1 } else { 2 * u16::from(i >= 8 && i < 10) })
+                    Label(if (2..8).contains(&i) { 1 } else { 2 * u16::from((8..10).contains(&i)) })
                 })
                 .collect();
             let labels = LabelImage::new(grid, voxels, vec![0, 1, 5]).unwrap();

@@ -277,7 +277,7 @@ impl ConstrainedMesh {
             }
         }
         faces.sort_unstable();
-        let paired = faces.len() % 2 == 0 && faces.chunks_exact(2).all(|pair| pair[0].0 == pair[1].0);
+        let paired = faces.len().is_multiple_of(2) && faces.chunks_exact(2).all(|pair| pair[0].0 == pair[1].0);
         if !paired || faces.windows(3).any(|three| three[0].0 == three[2].0) {
             return Ok(None);
         }

@@ -190,13 +190,11 @@ fn shorten(
             if let Some(result) = tried(mesh, [a, b], &plan.old, &plan.new, count)? {
                 return Ok(result);
             }
-        } else if effort.depth > 0 && *tries > 0 {
-            if remove_edge(mesh, [u, v], effort.depth, effort.ring, tries)? {
-                match tets_along(mesh, a, b) {
-                    None => return Ok(None),
-                    Some(shorter) if !shorter.is_empty() && shorter.len() < count => return Ok(Some(shorter)),
-                    Some(_) => {}
-                }
+        } else if effort.depth > 0 && *tries > 0 && remove_edge(mesh, [u, v], effort.depth, effort.ring, tries)? {
+            match tets_along(mesh, a, b) {
+                None => return Ok(None),
+                Some(shorter) if !shorter.is_empty() && shorter.len() < count => return Ok(Some(shorter)),
+                Some(_) => {}
             }
         }
     }

@@ -107,13 +107,11 @@ fn remove_piercing(
                 Some(fewer) if !fewer.edges.is_empty() && fewer.edges.len() < count => return Ok(Some(fewer)),
                 Some(_) => drop(mesh.replace(&ids, &rows)?),
             }
-        } else if effort.depth > 0 && *tries > 0 {
-            if remove_edge(mesh, [u, v], effort.depth, effort.ring, tries)? {
-                match tets_across(mesh, face) {
-                    None => return Ok(None),
-                    Some(fewer) if !fewer.edges.is_empty() && fewer.edges.len() < count => return Ok(Some(fewer)),
-                    Some(_) => {}
-                }
+        } else if effort.depth > 0 && *tries > 0 && remove_edge(mesh, [u, v], effort.depth, effort.ring, tries)? {
+            match tets_across(mesh, face) {
+                None => return Ok(None),
+                Some(fewer) if !fewer.edges.is_empty() && fewer.edges.len() < count => return Ok(Some(fewer)),
+                Some(_) => {}
             }
         }
     }

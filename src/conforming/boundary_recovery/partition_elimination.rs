@@ -243,8 +243,7 @@ pub fn kernel_point(faces: &[[DVec3; 3]], start: DVec3, direction: DVec3) -> Opt
     let mut best = candidates
         .into_iter()
         .map(|x| (sees(x), depth(x), x))
-        .max_by(|l, r| l.0.cmp(&r.0).then(l.1.total_cmp(&r.1)))
-        .map(|(valid, value, x)| (valid, value, x))?;
+        .max_by(|l, r| l.0.cmp(&r.0).then(l.1.total_cmp(&r.1)))?;
     // Climb the smallest distance: along the normals of the nearest planes, then along the axes.
     let mut step = size * 0.25;
     let mut rounds = 0;

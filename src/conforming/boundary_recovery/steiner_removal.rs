@@ -58,10 +58,10 @@ fn center(mesh: &mut ConstrainedMesh, vertex: VertexId) {
     let front = mesh.shape_of(&mesh.ball(vertex)).front;
     let faces: Vec<_> = front.iter().map(|f| f.map(|v| mesh.at(v))).collect();
     let old = mesh.at(vertex);
-    if let Some(place) = kernel_point(&faces, old, glam::DVec3::ZERO) {
-        if faces.iter().all(|&[a, b, c]| orient3d(a, b, c, place) > 0.0) {
-            mesh.complex.set_point(vertex, place);
-        }
+    if let Some(place) = kernel_point(&faces, old, glam::DVec3::ZERO)
+        && faces.iter().all(|&[a, b, c]| orient3d(a, b, c, place) > 0.0)
+    {
+        mesh.complex.set_point(vertex, place);
     }
 }
 
