@@ -31,7 +31,7 @@ use super::block_matching::{BlockMatch, MatchImage, MatchOutcome, MatchSettings,
 use super::deformation_solve::{BlockMeasurements, materials, solve_deformation, with_shape_functions};
 use super::displacement_field::{compose, field_of_mesh, repair_folds, rigid_field};
 use super::feature_points::select_features;
-use super::missing_correspondence::{pair_tumor_with_cavity, pair_with_surface};
+use super::missing_correspondence::pair_with_surface;
 use super::options::{FeatureOptions, MatchingDirection, MeshOptions, Options, Resection};
 use super::report::IterationReport;
 use super::resection::{Scene, fill_hole, find_cavity, resected_model};
@@ -60,12 +60,6 @@ const COARSE_SHARE: f64 = 0.34;
 
 /// How hard matched blocks pull against the mesh at a trade-off of 1: chosen on simulated operations.
 const DATA_STIFFNESS: f64 = 8.0;
-
-/// Longest way from the wall of a cavity to the tumour that was there, mm.
-const LONGEST_PAIR: f64 = 16.0;
-
-/// Weight of a wall against the mean weight of a block.
-const WALL_WEIGHT: f64 = 6.0;
 
 /// Folding limit while the loop runs; the returned field is held to the caller's limit.
 const LOOP_JACOBIAN: f64 = 0.05;
@@ -336,7 +330,6 @@ impl State<'_> {
             let centers = select_features(warped.values(), settings.size, &mask, &features);
             let mut found = self.match_moving(scale, warped, tissue, &centers, &settings)?;
             let remaining: Vec<bool> = scale.foreground.iter().zip(tissue).map(|(f, t)| *f && *t).collect();
-            self.find_walls(&found, &labels, scale, &settings, &mut result);
             let (paired, missing) = pair_with_surface(&mut found, &remaining, &settings);
             report.blocks += found.len();
             report.paired += paired;
@@ -373,40 +366,6 @@ impl State<'_> {
         match_blocks(warped, tissue, &filled, centers, settings, self.context)
     }
 
-    /// Walls of the cavity, drawn to the boundary of the tumour that is gone.
-    fn find_walls(
-        &self,
-        found: &[BlockMatch],
-        labels: &LabelImage,
-        scale: &Scale,
-        settings: &MatchSettings,
-        result: &mut Matches,
-    ) {
-        let Some(label) = labels.label_of(2) else { return };
-        let grid = &self.coarse.grid;
-        let ratio = settings.spacing / grid.spacing().x;
-        let blocks: Vec<(DVec3, f32)> = found
-            .iter()
-            .filter(|m| labels.voxels()[m.at] == label)
-            .map(|m| {
-                let voxel = super::feature_points::voxel_of(m.at, settings.size).map(|x| x as f64);
-                (DVec3::from_array(voxel) * ratio, m.similarity)
-            })
-            .collect();
-        let tumor: Vec<bool> = map_voxels(grid, |point, _| {
-            let at = nearest_offset(settings.size, scale.grid.world_to_index(point));
-            at.is_some_and(|at| labels.voxels()[at] == label)
-        });
-        let spacing = grid.spacing().x;
-        for pair in pair_tumor_with_cavity(&tumor, &self.cavity, grid.size(), spacing, &blocks, LONGEST_PAIR) {
-            let normal = grid.direction() * pair.normal;
-            result.walls.points.push(grid.index_to_world(pair.wall));
-            result.walls.displacements.push(grid.direction() * (pair.step * spacing));
-            let along = DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
-            result.walls.weights.push(along * WALL_WEIGHT);
-        }
-    }
-
     fn solve(
         &mut self,
         mesh: &MixedMesh,
@@ -418,17 +377,9 @@ impl State<'_> {
         labels.sort_unstable();
         labels.dedup();
         let materials = materials(self.options, &labels, filling, self.options.adaptive.enabled)?;
-        let fit = solve_deformation(
-            mesh,
-            &matches.data,
-            &matches.walls,
-            materials,
-            DATA_STIFFNESS,
-            &self.options.mechanics,
-            self.context,
-        )?;
+        let fit =
+            solve_deformation(mesh, &matches.data, materials, DATA_STIFFNESS, &self.options.mechanics, self.context)?;
         report.rejected = fit.status.iter().filter(|s| **s != MeasurementStatus::Used).count();
-        report.walls = matches.walls.points.len();
         report.solver_iterations = fit.solves.iter().map(|s| s.iterations).sum();
         self.blocks = fit
             .status
@@ -491,7 +442,6 @@ enum Side {
 #[derive(Default)]
 struct Matches {
     data: BlockMeasurements,
-    walls: BlockMeasurements,
     similarity: Vec<f64>,
 }
 

@@ -4,8 +4,7 @@
 //! 1. Materials per label; the filling of the resected region gets a fraction of the modulus of label 1.
 //! 2. Weights are scaled to a mean of 1, so that trade-off and rejection do not depend on the contrast of the scans.
 //! 3. Approximation steps that reject outliers, then interpolation steps ([`crate::fem::displacement_fit`]).
-//! 4. Walls of a cavity join after the rejection: they disagree with the blocks around them on purpose.
-//! 5. Quadratic elements are made from linear ones by nodes on the edges.
+//! 4. Quadratic elements are made from linear ones by nodes on the edges.
 //!
 //! # Source
 //! [Clatz2005] section III-C; [Drakopoulos2017] section 3.7.1 (FEM solver), table 9.
@@ -20,7 +19,7 @@ use glam::{DMat3, DVec3};
 use super::options::{MechanicsOptions, Options, ShapeFunctions};
 use crate::context::RunContext;
 use crate::error::{Error, Finding, FindingCode, Result, Severity};
-use crate::fem::displacement_fit::{Fit, FitOptions, MeasurementStatus, Measurements, displacement_fit};
+use crate::fem::displacement_fit::{Fit, FitOptions, Measurements, displacement_fit};
 use crate::fem::element_mesh::ElementMesh;
 use crate::fem::element_stiffness::Formulation;
 use crate::fem::material::{Material, MaterialMap};
@@ -73,21 +72,20 @@ pub fn materials(options: &Options, labels: &[i32], resected: i32, heterogeneous
     Ok(MaterialMap::new(None, entries))
 }
 
-/// Fits the displacements of the nodes of `mesh` to the measurements; `walls` are not subject to rejection.
+/// Fits the displacements of the nodes of `mesh` to the measurements.
 ///
 /// # Errors
 /// [`Error::NoResult`] where no measurement lies in the mesh or all are rejected; those of the fit.
 pub fn solve_deformation(
     mesh: &MixedMesh,
     measurements: &BlockMeasurements,
-    walls: &BlockMeasurements,
     materials: MaterialMap,
     stiffness_of_data: f64,
     mechanics: &MechanicsOptions,
     context: &RunContext,
 ) -> Result<Fit> {
     let weights = normalized(&measurements.weights);
-    let mut options = FitOptions {
+    let options = FitOptions {
         formulation: match mechanics.shape_functions {
             ShapeFunctions::Linear | ShapeFunctions::Quadratic => Formulation::Standard,
             ShapeFunctions::LinearExtra | ShapeFunctions::QuadraticExtra => Formulation::ExtraShapeFunctions,
@@ -103,19 +101,7 @@ pub fn solve_deformation(
     };
     let data =
         Measurements { points: &measurements.points, displacements: &measurements.displacements, weights: &weights };
-    if !walls.points.is_empty() {
-        options.interpolation_steps = 0;
-    }
-    let mut fit = displacement_fit(&ElementMesh::from_mixed(mesh), &data, &options, context)?;
-    if !walls.points.is_empty() {
-        options.rejection_steps = 0;
-        options.interpolation_steps = mechanics.interpolation_steps.max(1);
-        let (kept, kept_weights) = with_walls(measurements, &weights, &fit, walls);
-        let data = Measurements { points: &kept.points, displacements: &kept.displacements, weights: &kept_weights };
-        let second = displacement_fit(&ElementMesh::from_mixed(mesh), &data, &options, context)?;
-        fit.displacements = second.displacements;
-        fit.solves.extend(second.solves);
-    }
+    let fit = displacement_fit(&ElementMesh::from_mixed(mesh), &data, &options, context)?;
     if mechanics.rejection_fraction >= 1.0 || fit.displacements.iter().any(|d| !d.is_finite()) {
         return Err(Error::NoResult {
             message: "no block is left after the rejection of outliers: lower rejection-fraction".into(),
@@ -131,26 +117,6 @@ pub fn solve_deformation(
         context.report(finding.with_ids(failure.iterations as i64, -1));
     }
     Ok(fit)
-}
-
-/// The measurements that were not rejected, and the walls, whose weights are relative to the mean of a measurement.
-fn with_walls(
-    measurements: &BlockMeasurements,
-    weights: &[DMat3],
-    fit: &Fit,
-    walls: &BlockMeasurements,
-) -> (BlockMeasurements, Vec<DMat3>) {
-    let mut kept = BlockMeasurements::default();
-    let mut kept_weights = Vec::new();
-    for n in (0..weights.len()).filter(|n| fit.status[*n] == MeasurementStatus::Used) {
-        kept.points.push(measurements.points[n]);
-        kept.displacements.push(measurements.displacements[n]);
-        kept_weights.push(weights[n]);
-    }
-    kept.points.extend(&walls.points);
-    kept.displacements.extend(&walls.displacements);
-    kept_weights.extend(&walls.weights);
-    (kept, kept_weights)
 }
 
 /// Weights with a mean trace of 3.
@@ -242,7 +208,6 @@ mod tests {
             measurements.weights.push(DMat3::IDENTITY * 0.3);
         }
         let defaults = Options::default();
-        let none = BlockMeasurements::default();
         for (solver, shapes) in [
             (SolverKind::JacobiCg, ShapeFunctions::Linear),
             (SolverKind::BiCgStab, ShapeFunctions::LinearExtra),
@@ -253,7 +218,7 @@ mod tests {
             let mesh = with_shape_functions(cube(), shapes).unwrap();
             let materials = materials(&defaults, &[1], 9, true).unwrap();
             let fit = context
-                .install(|| solve_deformation(&mesh, &measurements, &none, materials, 100.0, &mechanics, &context))
+                .install(|| solve_deformation(&mesh, &measurements, materials, 100.0, &mechanics, &context))
                 .unwrap();
             for (point, found) in mesh.points.iter().zip(&fit.displacements) {
                 assert!((*found - linear(*point)).length() < 0.3, "{solver:?} {shapes:?} {point} {found}");

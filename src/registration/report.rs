@@ -13,8 +13,6 @@ pub struct IterationReport {
     pub missing: usize,
     /// Blocks paired with the brain surface.
     pub paired: usize,
-    /// Points of the cavity's wall paired with resected tumour.
-    pub walls: usize,
     /// Blocks rejected as outliers.
     pub rejected: usize,
     /// Mean length of the update of the field in the tissue, mm.
@@ -100,7 +98,6 @@ impl IterationReport {
             ("blocks", self.blocks as f64),
             ("missing", self.missing as f64),
             ("paired", self.paired as f64),
-            ("walls", self.walls as f64),
             ("rejected", self.rejected as f64),
             ("mean_update", self.mean_update),
             ("cavity_volume", self.cavity),
