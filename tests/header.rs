@@ -64,3 +64,33 @@ fn header_is_current() {
         difference.map_or(committed.lines().count().min(expected.lines().count()), |line| line) + 1
     );
 }
+
+/// Runs the system's C or C++ compiler over the header alone, every warning an error.
+fn compile_header(name: &str, is_cpp: bool, standard: &str) {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let host = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
+    let mut build = cc::Build::new();
+    build.cpp(is_cpp).target(&host).host(&host).opt_level(0).cargo_metadata(false);
+    let output = build
+        .get_compiler()
+        .to_command()
+        .args(["-x", if is_cpp { "c++" } else { "c" }, &format!("-std={standard}"), "-fsyntax-only"])
+        .args(["-Wall", "-Wextra", "-Werror", "-pedantic", "-include"])
+        .arg(root.join("include").join(name))
+        .arg("/dev/null")
+        .output()
+        .expect("a C compiler is installed");
+    assert!(output.status.success(), "{name}, {standard}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn headers_compile_without_a_warning() {
+    for standard in ["c99", "c11"] {
+        compile_header("meshwright.h", false, standard);
+    }
+    for standard in ["c++11", "c++20"] {
+        compile_header("meshwright.h", true, standard);
+        compile_header("meshwright.hpp", true, standard);
+    }
+}

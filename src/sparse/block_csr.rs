@@ -96,3 +96,42 @@ impl BlockCsr {
         });
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::index::VertexId;
+    use crate::sparse::pattern::Incidence;
+
+    #[test]
+    fn the_product_is_that_of_an_independent_library() {
+        // Two tets that share a face.
+        let connectivity = [0, 1, 2, 3, 1, 2, 3, 4].map(VertexId);
+        let offsets = [0, 4, 8];
+        let incidence = Incidence::new(5, &offsets, &connectivity).unwrap();
+        let mut matrix = BlockCsr::zero(Pattern::from_elements(&incidence, &offsets, &connectivity));
+        let mut triplets = sprs::TriMat::new((15, 15));
+        let mut seed = 1_u32;
+        for element in connectivity.chunks(4) {
+            for (row, column) in element.iter().flat_map(|r| element.iter().map(move |c| (r.index(), c.index()))) {
+                let mut next = || {
+                    seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    f64::from(seed >> 16) / 65536.0 - 0.5
+                };
+                let block = DMat3::from_cols_array(&std::array::from_fn(|_| next()));
+                matrix.add(row, column, block);
+                for (i, j) in (0..3).flat_map(|i| (0..3).map(move |j| (i, j))) {
+                    triplets.add_triplet(3 * row + i, 3 * column + j, block.row(i)[j]);
+                }
+            }
+        }
+        let vector: Vec<DVec3> = (0..5).map(|i| DVec3::new(i as f64, 1.0 - i as f64, 0.5)).collect();
+        let flat: Vec<f64> = vector.iter().flat_map(|v| v.to_array()).collect();
+        let expected = &triplets.to_csr::<usize>() * &sprs::CsVec::new(15, (0..15).collect(), flat);
+        let mut product = vec![DVec3::ZERO; 5];
+        matrix.multiply(&vector, &mut product);
+        for (row, value) in product.iter().flat_map(|v| v.to_array()).enumerate() {
+            assert!((value - expected.get(row).copied().unwrap_or(0.0)).abs() < 1e-12);
+        }
+    }
+}
