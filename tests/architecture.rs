@@ -141,3 +141,34 @@ fn imports_point_downwards() {
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
+
+/// The keys `[NameYear]` in doc comments, such as `[Bowyer1981]`.
+fn cited_keys(source: &str) -> Vec<String> {
+    let docs = source.lines().map(str::trim_start).filter(|line| line.starts_with("//"));
+    docs.flat_map(|line| line.match_indices('[').map(|(at, _)| line[at + 1..].split(']').next().unwrap_or("")))
+        .filter(|key| {
+            let year = key.trim_start_matches(|c: char| c.is_ascii_alphabetic());
+            key.starts_with(|c: char| c.is_ascii_uppercase())
+                && key.len() > year.len()
+                && year.len() == 4
+                && year.chars().all(|c| c.is_ascii_digit())
+        })
+        .map(str::to_owned)
+        .collect()
+}
+
+#[test]
+fn every_cited_key_stands_in_the_references() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let references = fs::read_to_string(root.join("REFERENCES.md")).unwrap();
+    let mut files = Vec::new();
+    rust_files(&root.join("src"), &mut files);
+    let mut missing: Vec<String> = files
+        .iter()
+        .flat_map(|file| cited_keys(&fs::read_to_string(file).unwrap()))
+        .filter(|key| !references.contains(&format!("[{key}]")))
+        .collect();
+    missing.sort();
+    missing.dedup();
+    assert!(missing.is_empty(), "not in REFERENCES.md: {}", missing.join(", "));
+}

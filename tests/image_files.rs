@@ -23,7 +23,7 @@ fn every_type() -> Vec<VoxelData> {
         VoxelData::U8((0..n).collect()),
         VoxelData::I8((0..n).map(|v| v as i8 - 30).collect()),
         VoxelData::U16((0..n).map(|v| u16::from(v) * 1000).collect()),
-        VoxelData::I16((0..n).map(|v| i16::from(v) * 1000 - 30000).collect()),
+        VoxelData::I16((0..n).map(|v| (i16::from(v) - 30) * 1000).collect()),
         VoxelData::U32((0..n).map(|v| u32::from(v) * 70_000_000).collect()),
         VoxelData::I32((0..n).map(|v| i32::from(v) * -30_000_000).collect()),
         VoxelData::U64((0..n).map(|v| u64::from(v) << 57).collect()),
