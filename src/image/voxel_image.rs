@@ -8,7 +8,7 @@
 //! `data` holds `components` values per voxel of `grid`, the component fastest, then i, j, k.
 //!
 //! # Cost
-//! Two passes over the voxels; 4 bytes per possible value up to [`DENSE_VALUES`], a hash table beyond.
+//! Two passes over the voxels; 4 bytes per possible value up to `DENSE_VALUES`, a hash table beyond.
 
 use rustc_hash::FxHashMap;
 

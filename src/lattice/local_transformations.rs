@@ -22,7 +22,7 @@
 //! vertices for the same reason.
 //!
 //! # Invariants
-//! The mesh conforms after each call; the lowest score of the tets that were replaced has risen by [`LEAST_GAIN`] at least.
+//! The mesh conforms after each call; the lowest score of the tets that were replaced has risen by `LEAST_GAIN` at least.
 
 use crate::index::Label;
 use crate::lattice::improvement_mesh::ImprovementMesh;

@@ -1,7 +1,7 @@
 //! Where the surface between labels runs inside of the voxels: a smooth signed distance per pair of labels.
 //!
 //! # Method
-//! 1. The indicator of each label is smoothed by a Gaussian of [`SIGMA`] voxels, evaluated where it is asked for: the sum
+//! 1. The indicator of each label is smoothed by a Gaussian of `SIGMA` voxels, evaluated where it is asked for: the sum
 //!    over the 6 x 6 x 6 voxels around the point. Nothing is stored per voxel.
 //! 2. Between labels a and b the ratio `(f_a - f_b) / (f_a + f_b)` of a flat interface is an error function of the
 //!    distance; its inverse gives a signed distance (positive in a) that is right for flat interfaces and smooth.

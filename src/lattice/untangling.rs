@@ -2,7 +2,7 @@
 //!
 //! # Method
 //! Every vertex moves by its displacement times a factor, 1 at first. Elements whose score falls below the bound, and below
-//! what it was before the move, halve the factors of their vertices; after [`HALVINGS`] rounds the factors become 0. The
+//! what it was before the move, halve the factors of their vertices; after `HALVINGS` rounds the factors become 0. The
 //! loop ends when no such element is left: with all factors at 0 the mesh is the one before, so it always ends.
 //!
 //! # Source
