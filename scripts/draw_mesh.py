@@ -1,6 +1,6 @@
 """Draws a tetrahedral mesh: three cuts coloured by label with the elements' edges, and the dihedral angles.
 
-Usage: draw_mesh.py MESH.vtu OUT.png       (needs numpy, meshio, matplotlib)
+Usage: draw_mesh.py MESH.vtu OUT.png       (needs numpy, vtk, matplotlib)
 """
 import sys
 
@@ -8,17 +8,24 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
-import meshio
 import numpy as np
+import vtk
 from matplotlib.collections import PolyCollection
+from vtk.util.numpy_support import vtk_to_numpy
 
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
 
 def read(path):
-    mesh = meshio.read(path)
-    blocks = [(block.data, labels) for block, labels in zip(mesh.cells, mesh.cell_data["labels"]) if block.type == "tetra"]
-    return mesh.points, np.concatenate([b[0] for b in blocks]), np.concatenate([b[1] for b in blocks])
+    """Points, tets and labels of a .vtu; read with VTK, because meshio knows no string arrays such as SPACE."""
+    reader = vtk.vtkXMLUnstructuredGridReader()
+    reader.SetFileName(path)
+    reader.Update()
+    grid = reader.GetOutput()
+    if not grid.IsHomogeneous() or grid.GetCellType(0) != vtk.VTK_TETRA:
+        raise SystemExit(f"{path} is not a mesh of tetrahedra")
+    tets = vtk_to_numpy(grid.GetCells().GetConnectivityArray()).reshape(-1, 4)
+    return vtk_to_numpy(grid.GetPoints().GetData()), tets, vtk_to_numpy(grid.GetCellData().GetArray("labels"))
 
 
 def cut(points, tets, axis, place):
