@@ -132,8 +132,6 @@ static Tetrahedra meshWithTetgen(const Surface& surface, const char* options, in
             const double* p = output.pointlist + 3 * output.tetrahedronlist[4 * t + v];
             tetrahedron.point[v] = {{p[0], p[1], p[2]}};
         }
-        // TetGen's order is the mirror of ours.
-        std::swap(tetrahedron.point[0], tetrahedron.point[1]);
         tetrahedron.label = 1;
         result.push_back(tetrahedron);
     }
