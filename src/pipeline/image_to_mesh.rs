@@ -37,7 +37,8 @@ pub fn run(input: &Input, parameters: &ParameterSet, context: &RunContext) -> Re
         points: output.points,
         statistics: report.statistics(),
         ..Output::default()
-    })
+    }
+    .with_mesh_figures(context))
 }
 
 /// The parameters with the contents of the `multiple-fidelities` file in place of its name.

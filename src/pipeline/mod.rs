@@ -16,9 +16,11 @@ pub mod warp;
 
 use glam::DVec3;
 
+use crate::context::RunContext;
 use crate::error::{Error, Result};
 use crate::image::voxel_image::VoxelImage;
 use crate::mesh::mixed_mesh::{MixedMesh, NamedArray};
+use crate::mesh::quality::mesh_quality;
 use crate::parameters::Table;
 use crate::statistics::Statistics;
 
@@ -83,6 +85,19 @@ pub struct Output {
     pub arrays: Vec<NamedArray>,
     /// Counts, times, quality.
     pub statistics: Statistics,
+}
+
+impl Output {
+    /// The same output with the counts and the quality of its mesh among its statistics.
+    #[must_use]
+    fn with_mesh_figures(mut self, context: &RunContext) -> Self {
+        if let Some(mesh) = &self.mesh {
+            self.statistics.set("mesh.points", mesh.points.len() as f64);
+            self.statistics.set("mesh.elements", mesh.element_count() as f64);
+            self.statistics.extend(&mesh_quality(mesh, context).statistics());
+        }
+        self
+    }
 }
 
 #[cfg(test)]

@@ -157,9 +157,10 @@ for target in ("q.msh", "q.mesh", "q.meshb", "q.vtk"):
     convert("q.vtu", target)
     convert(target, "r.vtu")
     assert vtk_read("r.vtu")[2] == [list(range(10))], target
-    other = meshio.read(path(target))
-    block = [b for b in other.cells if b.type == "tetra10"][0]
-    assert block.data.tolist() == [list(range(10))], target
+    if target in ("q.msh", "q.vtk"):  # meshio knows no quadratic tets of MEDIT
+        other = meshio.read(path(target))
+        block = [b for b in other.cells if b.type == "tetra10"][0]
+        assert block.data.tolist() == [list(range(10))], target
 
 # Surfaces.
 surface = meshio.Mesh(points[:8], [("triangle", [[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7], [0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7]])])

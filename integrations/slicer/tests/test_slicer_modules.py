@@ -100,8 +100,8 @@ def test_progress_moves_forward(modules):
     module = image_module(modules, **CENTERED, **ORIENTATIONS["plain"])
     command_line.set_cli_parameters(module.node, {"lattice-spacing": 1.5, "fidelity": 0.97})
     states = module.run()
-    percents = [percent for _, percent in states]
-    assert percents == sorted(percents) and len(set(percents)) > 2, states
+    percents = [percent for status, percent in states if status == "Running"]
+    assert percents == sorted(percents) and max(percents) > 0, states
     module.close()
 
 

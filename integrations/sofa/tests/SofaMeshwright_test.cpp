@@ -1,5 +1,6 @@
 // Loads the plugin, makes a mesh from raw voxels, runs a tetrahedral FEM on it, and checks both; then feeds the
 // component bad input and checks that the scene lives on. Prints what failed; exit code 0 when nothing did.
+#include <sofa/core/ObjectFactory.h>
 #include <sofa/core/behavior/BaseMechanicalState.h>
 #include <sofa/core/objectmodel/BaseData.h>
 #include <sofa/core/topology/BaseMeshTopology.h>
@@ -17,6 +18,7 @@
 namespace api = sofa::simpleapi;
 
 static int failures = 0;
+static const auto simulation = api::createSimulation("DAG");
 
 static void expect(bool condition, const std::string& what)
 {
@@ -47,7 +49,7 @@ static std::string valueOf(const sofa::simulation::Node::SPtr& root, const std::
 
 static void meshesAnImageAndRunsAFiniteElementBody()
 {
-    auto root = api::createRootNode(sofa::simulation::getSimulation(), "root", {{"gravity", "0 0 -9.81"}});
+    auto root = api::createRootNode(simulation, "root", {{"gravity", "0 0 -9.81"}});
     api::createObject(root, "DefaultAnimationLoop");
     api::createObject(root, "CBC3DMeshFromImage", {{"name", "mesher"}, {"image", ballImage(20, 7.0)}, {"dimensions", "20 20 20"},
         {"spacing", "1 1 1"}, {"cellSize", "4"}, {"threads", "1"}});
@@ -61,7 +63,7 @@ static void meshesAnImageAndRunsAFiniteElementBody()
     api::createObject(body, "TetrahedronFEMForceField", {{"name", "fem"}, {"youngModulus", "3000"}, {"poissonRatio", "0.45"}});
     sofa::simulation::node::initRoot(root.get());
 
-    const auto* topology = body->getMeshTopology();
+    auto* topology = body->getMeshTopology();
     expect(topology && topology->getNbTetrahedra() > 100, "the topology holds the tetrahedra of the image");
     expect(valueOf(root, "mesher", "componentState") == "Valid", "the mesher is valid");
     expect(std::stod("0" + valueOf(root, "mesher", "minDihedral")) > 5.0, "the smallest dihedral angle is known and sound");
@@ -80,7 +82,7 @@ static void meshesAnImageAndRunsAFiniteElementBody()
 
 static void badInputIsAComponentStateAndTheSceneLivesOn()
 {
-    auto root = api::createRootNode(sofa::simulation::getSimulation(), "root");
+    auto root = api::createRootNode(simulation, "root");
     api::createObject(root, "DefaultAnimationLoop");
     api::createObject(root, "CBC3DMeshFromImage", {{"name", "noFile"}, {"filename", "/nowhere/image.nii"}});
     api::createObject(root, "CBC3DMeshFromImage", {{"name", "noInput"}});
@@ -100,10 +102,10 @@ static void badInputIsAComponentStateAndTheSceneLivesOn()
 
 static void meshesASurface()
 {
-    auto root = api::createRootNode(sofa::simulation::getSimulation(), "root");
+    auto root = api::createRootNode(simulation, "root");
     api::createObject(root, "CDT3DMeshFromSurface", {{"name", "mesher"}, {"refine", "false"},
-        {"inputPoints", "0 0 0 1 0 0 1 1 0 0 1 0 0 0 1 1 0 1 1 1 1 0 1 1"},
-        {"inputQuads", "0 3 2 1 4 5 6 7 0 1 5 4 1 2 6 5 2 3 7 6 3 0 4 7"}});
+        {"inputPoints", "0 0 0 1 0 0 0 1 0 1 1 0 0 0 1 1 0 1 0 1 1 1 1 1"},
+        {"inputTriangles", "0 2 3 0 3 1 4 5 7 4 7 6 0 1 5 0 5 4 2 6 7 2 7 3 0 4 6 0 6 2 1 3 7 1 7 5"}});
     sofa::simulation::node::initRoot(root.get());
     expect(valueOf(root, "mesher", "componentState") == "Valid", "the surface mesher is valid");
     std::istringstream points(valueOf(root, "mesher", "outputPoints"));
@@ -117,6 +119,10 @@ int main()
 {
     auto& plugins = sofa::helper::system::PluginManager::getInstance();
     expect(plugins.loadPluginByPath(PLUGIN_PATH) == sofa::helper::system::PluginManager::PluginLoadStatus::SUCCESS, "the plugin loads");
+    for (const char* module : {"SofaMeshwright", "Sofa.Simulation.Core"})
+    {
+        sofa::core::ObjectFactory::getInstance()->registerObjectsFromPlugin(module);
+    }
     for (const char* name : {"Sofa.Component.ODESolver.Backward", "Sofa.Component.LinearSolver.Iterative", "Sofa.Component.Mass",
                              "Sofa.Component.StateContainer", "Sofa.Component.Topology.Container.Dynamic", "Sofa.Component.SolidMechanics.FEM.Elastic"})
     {

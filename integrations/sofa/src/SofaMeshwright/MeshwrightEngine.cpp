@@ -157,9 +157,21 @@ void MeshwrightEngine::runJob()
     m_tenthShown = -1;
     m_stageShown.clear();
     check(mw_job_set_progress(job.get(), &MeshwrightEngine::onProgress, this));
-    const mw_status status = mw_job_run(job.get());
+    std::string failure;
+    try
+    {
+        check(mw_job_run(job.get()));
+    }
+    catch (const std::runtime_error& error)
+    {
+        // The text of the last error is the run's only until the next call.
+        failure = error.what();
+    }
     readFindings(job.get());
-    check(status);
+    if (!failure.empty())
+    {
+        throw std::runtime_error(failure);
+    }
 
     mw_mesh* rawMesh = nullptr;
     check(mw_job_take_mesh(job.get(), &rawMesh));
