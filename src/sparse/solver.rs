@@ -3,14 +3,16 @@
 //! # Method
 //! [`solve`] prepares the preconditioner of the chosen [`SolverKind`] and runs it; every solver starts from the given
 //! vector, stops by the same rule and reports the same way.
+//!
+//! Where incomplete Cholesky breaks down, block Jacobi starts again from the given vector, and a finding says so.
 
 use glam::DVec3;
 
 use crate::context::RunContext;
-use crate::error::Result;
+use crate::error::{Finding, FindingCode, Result, Severity};
 use crate::sparse::bicgstab::bicgstab;
 use crate::sparse::block_csr::BlockCsr;
-use crate::sparse::conjugate_gradient::{SolveReport, StoppingRule, conjugate_gradient};
+use crate::sparse::conjugate_gradient::{Outcome, SolveReport, StoppingRule, conjugate_gradient};
 use crate::sparse::direct::solve_direct;
 use crate::sparse::lsqr::lsqr;
 use crate::sparse::preconditioner::{BlockJacobi, IncompleteCholesky, PointJacobi, Preconditioner};
@@ -78,6 +80,37 @@ impl<'a> PreparedSolver<'a> {
         rule: &StoppingRule,
         context: &RunContext,
     ) -> Result<SolveReport> {
+        if self.kind == SolverKind::IncompleteCholeskyCg {
+            return self.solve_or_fall_back(right, solution, rule, context);
+        }
+        self.solve_once(right, solution, rule, context)
+    }
+
+    /// Block Jacobi after a breakdown of incomplete Cholesky: rounding in its factor is what it can avoid.
+    fn solve_or_fall_back(
+        &self,
+        right: &[DVec3],
+        solution: &mut [DVec3],
+        rule: &StoppingRule,
+        context: &RunContext,
+    ) -> Result<SolveReport> {
+        let start = solution.to_vec();
+        let first = self.solve_once(right, solution, rule, context)?;
+        let Outcome::Breakdown(reason) = first.outcome else { return Ok(first) };
+        let text = format!("conjugate gradients with incomplete Cholesky: {reason}; solved again with block Jacobi");
+        let finding = Finding::new(FindingCode::NotConverged, Severity::Warning, text);
+        context.report(finding.with_ids(first.iterations as i64, -1));
+        solution.copy_from_slice(&start);
+        Self::new(self.matrix, SolverKind::BlockJacobiCg, context).solve_once(right, solution, rule, context)
+    }
+
+    fn solve_once(
+        &self,
+        right: &[DVec3],
+        solution: &mut [DVec3],
+        rule: &StoppingRule,
+        context: &RunContext,
+    ) -> Result<SolveReport> {
         context.install(|| match (self.kind, &self.preconditioner) {
             (SolverKind::BiCgStab, Some(p)) => bicgstab(self.matrix, right, solution, p.as_ref(), rule, context),
             (SolverKind::Lsqr, _) => lsqr(self.matrix, right, solution, rule, context),
@@ -106,7 +139,6 @@ pub fn solve(
 mod tests {
     use super::*;
     use crate::index::VertexId;
-    use crate::sparse::conjugate_gradient::Outcome;
     use crate::sparse::pattern::{Incidence, Pattern};
     use glam::DMat3;
 
@@ -181,6 +213,19 @@ mod tests {
             assert!(!report.is_converged(), "{kind:?}: {report:?}");
             assert!(solution.iter().all(|s| s.is_finite()), "{kind:?}");
         }
+    }
+
+    #[test]
+    fn a_matrix_that_is_not_positive_definite_falls_back_with_a_finding() {
+        let matrix = spring_chain(50, -4.0);
+        let context = RunContext::with_threads(1).unwrap();
+        let mut solution = vec![DVec3::ZERO; 50];
+        let (right, rule) = (vec![DVec3::X; 50], StoppingRule::default());
+        let report = solve(&matrix, &right, &mut solution, SolverKind::default(), &rule, &context).unwrap();
+        assert!(matches!(report.outcome, Outcome::Breakdown(_)), "{report:?}");
+        let findings = context.take_findings();
+        assert!(findings.len() == 1 && findings[0].code == FindingCode::NotConverged, "{findings:?}");
+        assert!(solution.iter().all(|s| s.is_finite()));
     }
 
     #[test]
