@@ -6,7 +6,8 @@
 //!
 //! # Differences
 //! Files (`plc`, `output`, `background`) stand in the table for the command line and Slicer; the engine
-//! does not read them. The thesis's page names no default for `angqmax`; ours is 150 degrees.
+//! does not read them. The thesis's page names no default for `angqmax`; ours is 150 degrees. Options in [`FIXED`] are
+//! in the table so that scripts that pass their defaults run; other values are refused, since they would do nothing.
 
 use glam::DVec3;
 
@@ -188,7 +189,7 @@ pub const PARAMETERS: Table = &[
         150.0,
         RECOVERY,
         "With boundary sliver deletion: surface triangles are not reconnected where the dihedral angle of the result \
-         would be less.",
+         would be less. Only the default is supported.",
     ),
     angle(
         "surface-angle-limit",
@@ -197,7 +198,7 @@ pub const PARAMETERS: Table = &[
         140.0,
         RECOVERY,
         "With boundary sliver deletion: surface triangles are not reconnected where their largest angle would grow \
-         beyond this.",
+         beyond this. Only the default is supported.",
     ),
     whole(
         "recursion-depth",
@@ -332,7 +333,8 @@ pub const PARAMETERS: Table = &[
         "mrec4q",
         true,
         RECONNECT,
-        "4-4 flips keep the better of the two qualities (with flip-44).",
+        "4-4 flips try both other diagonals and keep the better; off takes the first that improves (in the last quality \
+         pass; with flip-44 everywhere).",
     ),
     angle(
         "low-quality-surface-angle",
@@ -417,16 +419,23 @@ pub const PARAMETERS: Table = &[
         false,
         QUALITY,
         "Delete slivers at the boundary and reconnect the surface there: the one option that changes the surface's \
-         triangles (never its points).",
+         triangles (never its points). Only the default, off, is supported: the surface is kept exactly.",
     ),
-    whole("boundary-sliver-repeats", "ndbs", (0, 100), 5, QUALITY, "Most repeats of boundary sliver deletion."),
+    whole(
+        "boundary-sliver-repeats",
+        "ndbs",
+        (0, 100),
+        5,
+        QUALITY,
+        "Most repeats of boundary sliver deletion. Only the default is supported.",
+    ),
     angle(
         "boundary-sliver-angle",
         "angdbs",
         (120.0, 179.9),
         160.0,
         QUALITY,
-        "Boundary elements with a larger angle are slivers.",
+        "With boundary sliver deletion: boundary elements with a larger angle are slivers. Only the default is supported.",
     ),
     flag("delete-small-edges", "mdse", true, QUALITY, "Collapse edges much shorter than the size wanted."),
     real("small-edge-factor", "cdse", (0.0, 0.7), 0.25, QUALITY, "Edges shorter than this times the size are small."),
@@ -491,9 +500,21 @@ pub const PARAMETERS: Table = &[
     ),
     flag("group-active", "ordt", true, PARALLEL, "Keep active elements together instead of spread over the list."),
     flag("sort-new-points", "sortp", false, PARALLEL, "Sort the new points of a pass along a Hilbert curve."),
-    flag("group-active-quality", "ordtq", true, PARALLEL, "As group-active, in quality passes."),
+    flag(
+        "group-active-quality",
+        "ordtq",
+        true,
+        PARALLEL,
+        "As group-active, in quality passes. Only the default, on, is supported.",
+    ),
     flag("sort-quality", "sortpq", false, PARALLEL, "Sort the elements of a quality pass along a Hilbert curve."),
-    flag("pin-threads", "pint", false, PARALLEL, "Bind each worker of a parallel pass to one core."),
+    flag(
+        "pin-threads",
+        "pint",
+        false,
+        PARALLEL,
+        "Bind each worker of a parallel pass to one core. Only the default, off, is supported.",
+    ),
     whole(
         "reserved-elements",
         "blockmul",
@@ -509,7 +530,7 @@ pub const PARAMETERS: Table = &[
         Default::Integer(0),
         "MB",
         LIMITS,
-        "Most memory for the stacks of work of boundary recovery; 0 no limit.",
+        "Most memory for the stacks of work of boundary recovery; 0 no limit. Only the default is supported.",
     ),
     row(
         ("maximum-elements", None),
@@ -527,6 +548,18 @@ pub const PARAMETERS: Table = &[
         LIMITS,
         "Refuse or stop where the mesh would need more memory; 0 no limit.",
     ),
+];
+
+/// Options that only their default has an effect for: [`Options::from_parameters`] refuses other values.
+pub const FIXED: &[&str] = &[
+    "discontinuity-angle",
+    "surface-angle-limit",
+    "delete-boundary-slivers",
+    "boundary-sliver-repeats",
+    "boundary-sliver-angle",
+    "group-active-quality",
+    "pin-threads",
+    "maximum-stack",
 ];
 
 /// Which bounded regions are meshed.
@@ -563,8 +596,6 @@ pub struct Options {
     pub snap_location: bool,
     pub location_tolerance: f64,
     pub boundary_recovery: RecoveryMode,
-    pub discontinuity_angle: f64,
-    pub surface_angle_limit: f64,
     pub recursion_depth: usize,
     pub edge_removal_limit: usize,
     pub touch_tolerance: f64,
@@ -601,9 +632,6 @@ pub struct Options {
     pub delete_field_slivers: bool,
     pub field_sliver_repeats: usize,
     pub field_sliver_angle: f64,
-    pub delete_boundary_slivers: bool,
-    pub boundary_sliver_repeats: usize,
-    pub boundary_sliver_angle: f64,
     pub delete_small_edges: bool,
     pub small_edge_factor: f64,
     pub quality_statistics: bool,
@@ -617,11 +645,8 @@ pub struct Options {
     pub quality_transfer_reduction: f64,
     pub group_active: bool,
     pub sort_new_points: bool,
-    pub group_active_quality: bool,
     pub sort_quality: bool,
-    pub pin_threads: bool,
     pub reserved_elements: usize,
-    pub maximum_stack_megabytes: usize,
     pub maximum_elements: usize,
     pub maximum_memory_megabytes: f64,
 }
@@ -636,8 +661,10 @@ impl Options {
     /// The options of a parameter set over [`PARAMETERS`].
     ///
     /// # Errors
-    /// [`Error::ParameterValue`] for lists that cannot be read: `hole`, `region`, `patch-role`, `size-source`.
+    /// [`Error::ParameterValue`] for lists that cannot be read (`hole`, `region`, `patch-role`, `size-source`) and for
+    /// options of [`FIXED`] with another value than the default.
     pub fn from_parameters(set: &ParameterSet) -> Result<Self> {
+        refuse_unsupported(set)?;
         let count = |name: &str| set.integer(name) as usize;
         let small = |name: &str| set.integer(name) as u8;
         Ok(Self {
@@ -653,8 +680,6 @@ impl Options {
                 1 => RecoveryMode::Partitions,
                 _ => RecoveryMode::Full,
             },
-            discontinuity_angle: set.real("discontinuity-angle"),
-            surface_angle_limit: set.real("surface-angle-limit"),
             recursion_depth: count("recursion-depth"),
             edge_removal_limit: count("edge-removal-limit"),
             touch_tolerance: set.real("touch-tolerance"),
@@ -691,9 +716,6 @@ impl Options {
             delete_field_slivers: set.flag("delete-field-slivers"),
             field_sliver_repeats: count("field-sliver-repeats"),
             field_sliver_angle: set.real("field-sliver-angle"),
-            delete_boundary_slivers: set.flag("delete-boundary-slivers"),
-            boundary_sliver_repeats: count("boundary-sliver-repeats"),
-            boundary_sliver_angle: set.real("boundary-sliver-angle"),
             delete_small_edges: set.flag("delete-small-edges"),
             small_edge_factor: set.real("small-edge-factor"),
             quality_statistics: set.flag("quality-statistics"),
@@ -707,14 +729,21 @@ impl Options {
             quality_transfer_reduction: set.real("quality-transfer-reduction"),
             group_active: set.flag("group-active"),
             sort_new_points: set.flag("sort-new-points"),
-            group_active_quality: set.flag("group-active-quality"),
             sort_quality: set.flag("sort-quality"),
             reserved_elements: count("reserved-elements"),
-            pin_threads: set.flag("pin-threads"),
-            maximum_stack_megabytes: count("maximum-stack"),
             maximum_elements: count("maximum-elements"),
             maximum_memory_megabytes: set.real("maximum-memory"),
         })
+    }
+}
+
+fn refuse_unsupported(set: &ParameterSet) -> Result<()> {
+    let defaults = ParameterSet::new(PARAMETERS);
+    match FIXED.iter().find(|name| set.value(name) != defaults.value(name)) {
+        Some(name) => {
+            Err(Error::ParameterValue { name: (*name).into(), reason: "this build supports only the default".into() })
+        }
+        None => Ok(()),
     }
 }
 
@@ -817,6 +846,25 @@ mod tests {
             if let Some(value) = parameter.default_value() {
                 parameter.check(value).unwrap();
             }
+        }
+    }
+
+    #[test]
+    fn options_without_effect_accept_their_default_only() {
+        for name in FIXED {
+            let parameter = &PARAMETERS[crate::parameters::find(PARAMETERS, name).unwrap()];
+            let default = parameter.default_value().unwrap();
+            let other = match default {
+                Value::Flag(flag) => Value::Flag(!flag),
+                Value::Integer(number) => Value::Integer(number + 1),
+                Value::Real(number) => Value::Real(number + 1.0),
+                _ => unreachable!(),
+            };
+            let mut set = ParameterSet::new(PARAMETERS);
+            set.set(name, default).unwrap();
+            assert!(Options::from_parameters(&set).is_ok(), "{name}");
+            set.set(name, other).unwrap();
+            assert!(matches!(Options::from_parameters(&set), Err(Error::ParameterValue { .. })), "{name}");
         }
     }
 

@@ -36,11 +36,13 @@ use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
 use crate::statistics::Statistics;
 
-/// Measured peak memory per tet of a run with refinement and improvement, bytes: rows, sizes, lists of a pass.
+/// Memory a tet is taken to need in a run with refinement and improvement, bytes: an estimate from the rows of the mesh,
+/// the sizes and the lists of a pass.
 pub const BYTES_PER_TET: f64 = 110.0;
 /// Volume of the regular tet over the cube of its edge.
 const REGULAR_VOLUME: f64 = 0.117_851_130_197_757_9;
-/// Average edge over size in a finished mesh, to predict the number of tets: measured on spheres and boxes.
+/// Average edge over size taken for a finished mesh, to predict the number of tets: an estimate, since points may stand
+/// closer or further apart than the size.
 const MEAN_STRETCH: f64 = 1.05;
 
 /// Figures of one round.
@@ -192,7 +194,11 @@ fn record_round(figures: &mut Statistics, number: usize, round: &Round) {
     }
 }
 
-fn check_limits(options: &Options, tets: f64, what: &str) -> Result<()> {
+/// Whether so many tets are within the limits of the options and of the numbering.
+///
+/// # Errors
+/// [`Error::LimitReached`], [`Error::CapacityExceeded`].
+pub fn check_limits(options: &Options, tets: f64, what: &str) -> Result<()> {
     let megabytes = tets * BYTES_PER_TET / 1e6;
     if options.maximum_elements > 0 && tets > options.maximum_elements as f64 {
         return Err(Error::LimitReached {

@@ -1,10 +1,11 @@
-//! Whole runs of the engine without refinement, on shapes made here.
+//! Whole runs of the engine on shapes made here.
 
 use glam::DVec3;
 
 use super::test_surfaces::{cube, joined, mapped, sphere, surface_of, translated};
 use super::*;
 use crate::geometry::predicates::orient3d;
+use crate::geometry::tetrahedron::dihedral_cosines;
 use crate::mesh::validation::check_mixed_mesh;
 
 fn options() -> Options {
@@ -124,4 +125,59 @@ fn an_open_surface_is_refused() {
     let result = run(&surface, None, &options(), &RunContext::with_threads(1).unwrap());
     let Err(crate::error::Error::InvalidInput { findings, .. }) = result else { panic!() };
     assert_eq!(findings.len(), 3);
+}
+
+/// Refines with so many threads and checks that the surface is kept exactly and tets off the surface are well shaped.
+fn refined(surface: &SurfaceMesh, threads: usize, volume_wanted: f64) -> MixedMesh {
+    let context = RunContext::with_threads(threads).unwrap();
+    let (mesh, _) = run(surface, None, &Options::default(), &context).unwrap();
+    check_mixed_mesh(&mesh).unwrap();
+    assert_eq!(mesh.points[..surface.points.len()], surface.points[..]);
+    assert!((volume(&mesh) - volume_wanted).abs() < 1e-9 * volume_wanted);
+    let sorted = |faces: &[[VertexId; 3]]| {
+        let turned = |mut face: [VertexId; 3]| {
+            face.sort_unstable();
+            face
+        };
+        let mut rows: Vec<[VertexId; 3]> = faces.iter().copied().map(turned).collect();
+        rows.sort_unstable();
+        rows
+    };
+    assert_eq!(sorted(&mesh.boundary.triangles), sorted(&surface.facets));
+    let is_inner = |tet: &&[VertexId; 4]| tet.iter().all(|v| v.index() >= surface.points.len());
+    let tets = mesh.tets().unwrap();
+    let inner: Vec<_> = tets.iter().filter(is_inner).collect();
+    assert!(!inner.is_empty());
+    for tet in inner {
+        let (smallest_cosine_bound, row) = (12.0_f64.to_radians().cos(), tet.map(|v| mesh.points[v.index()]));
+        assert!(dihedral_cosines(row).0 < smallest_cosine_bound, "{tet:?}");
+    }
+    mesh
+}
+
+#[test]
+fn a_refined_cube_keeps_its_surface() {
+    for threads in [1, 2] {
+        refined(&cube(8), threads, 1.0);
+    }
+}
+
+#[test]
+fn a_refined_sphere_keeps_its_surface() {
+    let surface = sphere(4);
+    let corner = |f: &[VertexId; 3]| f.map(|v| surface.points[v.index()]);
+    let enclosed = surface.facets.iter().map(corner).map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum();
+    let first = refined(&surface, 1, enclosed);
+    let again = refined(&surface, 1, enclosed);
+    assert_eq!((first.points, first.boundary.triangles), (again.points, again.boundary.triangles));
+    refined(&surface, 2, enclosed);
+}
+
+#[test]
+fn limits_end_a_run_with_or_without_refinement() {
+    for refine in [false, true] {
+        let options = Options { refine, maximum_elements: 20, ..Options::default() };
+        let result = run(&cube(4), None, &options, &RunContext::with_threads(1).unwrap());
+        assert!(matches!(result, Err(crate::error::Error::LimitReached { .. })));
+    }
 }

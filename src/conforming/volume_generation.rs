@@ -13,7 +13,7 @@
 
 use super::options::Options;
 use super::quality_improvement::improve;
-use super::refinement::{boundary_triangles, initial_sizes, refine};
+use super::refinement::{boundary_triangles, check_limits, initial_sizes, refine};
 use glam::DVec3;
 
 use crate::context::RunContext;
@@ -69,6 +69,7 @@ pub fn generate_volume(
     let limits = input.region_limits.iter().map(|l| l.unwrap_or(f64::INFINITY)).collect();
     let field = free.with_limits(limit, limits);
     if !options.refine {
+        check_limits(options, complex.live_count() as f64, "made")?;
         return Ok(figures);
     }
     figures.extend(&refine(complex, &mut sizes, &field, options, context)?);
