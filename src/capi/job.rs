@@ -128,9 +128,13 @@ impl Task {
         Ok(())
     }
 
-    /// Refuses parameters that only the command line can follow: in C, data is handed over, not named.
+    /// Refuses parameters that only the command line can follow: in C, data is handed over, not named. The image
+    /// mesher's fidelity file is read by the pipeline, and its debugging outputs are switched on by being named.
     fn check_settable(&self, name: &str) -> Result<()> {
         let parameter = &self.kind.parameters()[find(self.kind.parameters(), name)?];
+        if self.kind == JobKind::ImageToMesh && parameter.group != "Files" {
+            return Ok(());
+        }
         let instead = match parameter.kind {
             Kind::InputFile { .. } => "hand the data over with mw_job_set_image, mw_job_set_surface, ...",
             Kind::OutputFile { .. } => "take the result with mw_job_take_mesh, mw_job_take_image, ...",
