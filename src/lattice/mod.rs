@@ -65,7 +65,7 @@ pub use report::Report;
 const DEFAULT_SPACING: f64 = 8.0;
 
 /// Without a given spacing the longest side of the image holds at least this many cubes.
-const CUBES_ALONG_IMAGE: f64 = 8.0;
+const CUBES_ALONG_IMAGE: f64 = 12.0;
 
 /// Lattice spacings tried for a wanted number of vertices; each halves the bracket.
 const SPACING_TRIES: usize = 7;
