@@ -308,3 +308,41 @@ impl<'a> RedGreenLattice<'a> {
 fn local_vertex(local: u8, corners: &[u32; 4], middles: &[u32; 6]) -> u32 {
     if local < 4 { corners[usize::from(local)] } else { middles[usize::from(local) - 4] }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::distance_transform::distance_to_other_labels;
+    use crate::image::grid::Grid;
+    use crate::image::label_image::LabelImage;
+    use glam::DMat3;
+
+    /// Marks leaves at random over several rounds: whatever edges are split, every leaf has a template afterwards.
+    #[test]
+    fn random_marks_always_close() {
+        let grid = Grid::new([16; 3], DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).unwrap();
+        let at = |i: usize| DVec3::new((i % 16) as f64, (i / 16 % 16) as f64, (i / 256) as f64);
+        let inside = |i: usize| u16::from(at(i).distance(DVec3::splat(7.3)) < 5.2);
+        let voxels = (0..4096).map(|i| Label(inside(i))).collect();
+        let image = LabelImage::new(grid, voxels, vec![0, 1]).unwrap();
+        let context = RunContext::with_threads(1).unwrap();
+        let distance = distance_to_other_labels(&image, &context).unwrap();
+        for seed in 0..20u64 {
+            let frame = LatticeFrame::new(&image, 5.0).unwrap();
+            let field = Field::new(&image, &distance);
+            let mut lattice = RedGreenLattice::new(frame, field, 1 << 22, &context).unwrap();
+            let mut state = 0x9e37_79b9_7f4a_7c15u64.wrapping_mul(seed + 1);
+            for _ in 0..4 {
+                let marked: Vec<bool> = (0..lattice.tets.len())
+                    .map(|_| {
+                        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                        (state >> 33) % 23 == 0
+                    })
+                    .collect();
+                lattice.refine(&marked, &context).unwrap();
+                let elements = lattice.elements(&context).unwrap();
+                assert!(elements.tets.len() >= lattice.tets.len(), "seed {seed}");
+            }
+        }
+    }
+}
