@@ -220,7 +220,9 @@ mod tests {
             let fit = context
                 .install(|| solve_deformation(&mesh, &measurements, materials, 100.0, &mechanics, &context))
                 .unwrap();
-            for (point, found) in mesh.points.iter().zip(&fit.displacements) {
+            // Nodes around which there is data; at the rim of the cube the fit extrapolates.
+            let is_measured = |p: &DVec3| p.min_element() >= 2.0 && p.max_element() <= 8.0;
+            for (point, found) in mesh.points.iter().zip(&fit.displacements).filter(|(p, _)| is_measured(p)) {
                 assert!((*found - linear(*point)).length() < 0.3, "{solver:?} {shapes:?} {point} {found}");
             }
         }
