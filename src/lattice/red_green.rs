@@ -336,7 +336,7 @@ mod tests {
                 let marked: Vec<bool> = (0..lattice.tets.len())
                     .map(|_| {
                         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                        (state >> 33) % 23 == 0
+                        (state >> 33).is_multiple_of(23)
                     })
                     .collect();
                 lattice.refine(&marked, &context).unwrap();
