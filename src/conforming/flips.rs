@@ -99,7 +99,7 @@ impl Plan {
     /// Whether every finite new tet is positive, exactly.
     pub fn is_positive<S: TetStore + ?Sized>(&self, store: &S) -> bool {
         self.new.iter().filter(|tet| !tet.contains(&VertexId::GHOST)).all(|tet| {
-            let [a, b, c, d] = tet.map(|v| store.point(v));
+            let [a, b, c, d] = store.corners(*tet);
             orient3d(a, b, c, d) > 0.0
         })
     }
@@ -155,7 +155,7 @@ impl Accept {
 
 #[inline]
 fn grade_of<S: TetStore + ?Sized, M: TetMeasure>(store: &S, measure: &M, tet: [VertexId; 4]) -> f64 {
-    measure.grade(tet.map(|v| store.point(v)))
+    measure.grade(store.corners(tet))
 }
 
 /// Claims a tet and refuses what no flip may touch.

@@ -4,6 +4,7 @@
 //! 1. A tet is satisfied when every edge is shorter than `cdff` times the average size of its ends and its largest
 //!    dihedral angle is below `angmax`; then it is marked and leaves the list of active tets.
 //! 2. A face of an active tet belongs to the front when it lies on the boundary or on a satisfied tet.
+//! 3. An active tet whose candidates are all rejected rests until one of its neighbours becomes satisfied.
 //!
 //! # Source
 //! [Drakopoulos2017] 4.7.1 (element activation and deactivation, front).
@@ -13,10 +14,10 @@
 //! shuffled list does.
 //!
 //! # Invariants
-//! New tets are active: their mark is clear. The mark is user bit 0 of the tet flags.
+//! New tets are active: their marks are clear. The marks are user bits 0 and 1 of the tet flags.
 //!
 //! # Cost
-//! Linear in the active tets, parallel, deterministic.
+//! Linear in the tets that are new or woken, not in the mesh; the rule runs in parallel; deterministic.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -29,6 +30,9 @@ use crate::mesh::tet_store::TetStore;
 
 /// The user bit that marks satisfied tets.
 pub const SATISFIED: usize = 0;
+/// The user bit of tets that rest: none of their candidates was accepted, and none will be until a neighbour becomes
+/// satisfied, because candidates depend on the front faces only and points that reject them stay.
+pub const RESTING: usize = 1;
 /// Tets per parallel chunk.
 const CHUNK: usize = 1024;
 
@@ -50,18 +54,31 @@ impl Satisfaction {
     /// Whether a tet with these corners and sizes is satisfied.
     #[inline]
     pub fn holds(&self, corners: [DVec3; 4], sizes: [f64; 4]) -> bool {
+        self.is_short(corners, sizes) && dihedral_cosines(corners).1 > self.angle_cosine
+    }
+
+    /// Whether all edges of a tet are short enough.
+    #[inline]
+    pub fn is_short(&self, corners: [DVec3; 4], sizes: [f64; 4]) -> bool {
         let edges = edge_vectors(corners);
-        let short = TET_EDGES.iter().zip(edges).all(|([i, j], edge)| {
+        TET_EDGES.iter().zip(edges).all(|([i, j], edge)| {
             let average = 0.5 * (sizes[*i] + sizes[*j]);
             edge.length_squared() < self.factor_squared * average * average
-        });
-        short && dihedral_cosines(corners).1 > self.angle_cosine
+        })
     }
+}
+
+/// The sizes at the corners of a tet.
+#[inline]
+pub fn corner_sizes<S: TetStore + ?Sized>(store: &S, sizes: &[f64], tet: TetId) -> [f64; 4] {
+    let [a, b, c, d] = store.vertices(tet);
+    [sizes[a.index()], sizes[b.index()], sizes[c.index()], sizes[d.index()]]
 }
 
 /// Marks the satisfied tets of `active` and drops them, dead ones, repeated ones, ghosts and background from the list.
 pub fn deactivate(complex: &mut TetComplex, sizes: &[f64], rule: Satisfaction, active: &mut Vec<TetId>) {
     let mut unique = std::mem::take(active);
+    active.reserve(unique.len() / 2);
     unique.retain(|&tet| {
         let flags = complex.flags(tet);
         let keep = !flags.is_deleted()
@@ -78,18 +95,37 @@ pub fn deactivate(complex: &mut TetComplex, sizes: &[f64], rule: Satisfaction, a
     let satisfied: Vec<bool> = unique
         .par_iter()
         .with_min_len(CHUNK)
-        .map(|&tet| rule.holds(reader.points_of(tet), reader.vertices(tet).map(|v| sizes[v.index()])))
+        .map(|&tet| rule.holds(reader.points_of(tet), corner_sizes(reader, sizes, tet)))
         .collect();
     for (&tet, &done) in unique.iter().zip(&satisfied) {
         let flags = complex.flags(tet).with_queued(false);
         complex.set_flags(tet, flags.with_user_bit(SATISFIED, done));
+        if !done {
+            active.push(tet);
+            continue;
+        }
+        for side in complex.neighbors(tet) {
+            // A new front face wakes the tet behind it.
+            if side != TetFace::NONE && complex.flags(side.tet()).has_user_bit(RESTING) {
+                let flags = complex.flags(side.tet()).with_user_bit(RESTING, false);
+                complex.set_flags(side.tet(), flags);
+                active.push(side.tet());
+            }
+        }
     }
-    let mut at = 0;
-    unique.retain(|_| {
-        at += 1;
-        !satisfied[at - 1]
-    });
-    *active = unique;
+}
+
+/// Puts the tets of `active` to rest, except those that `tried` lists; the others stay in the list.
+pub fn rest_all_but(complex: &mut TetComplex, active: &mut Vec<TetId>, tried: impl Iterator<Item = TetId>) {
+    for &tet in active.iter() {
+        let flags = complex.flags(tet).with_user_bit(RESTING, true);
+        complex.set_flags(tet, flags);
+    }
+    for tet in tried {
+        let flags = complex.flags(tet).with_user_bit(RESTING, false);
+        complex.set_flags(tet, flags);
+    }
+    active.retain(|&tet| !complex.flags(tet).has_user_bit(RESTING));
 }
 
 /// Whether a face of an active tet belongs to the front.

@@ -22,6 +22,7 @@
 //! # Cost
 //! About a microsecond a flip; no allocation once the buffers have grown.
 
+use crate::conforming::cavity_insertion::CavityScratch;
 use crate::conforming::flip_criteria::{MaxAngle, TetMeasure, min_edge_weight};
 use crate::conforming::flips::{FlipScratch, Outcome, collect_ring, commit};
 use crate::error::Result;
@@ -78,6 +79,8 @@ impl FlipCounts {
 pub struct Reconnector {
     /// Buffers of the flips.
     pub scratch: FlipScratch,
+    /// Buffers of insertion.
+    pub cavity: CavityScratch,
     /// Tets created since the list was last taken; some may be gone again.
     pub fresh: Vec<TetId>,
     /// Counts of this thread.
@@ -105,6 +108,19 @@ impl Reconnector {
         }
         commit(store, &mut self.scratch)?;
         self.fresh.extend_from_slice(&self.scratch.created);
+        self.counts.accepted += 1;
+        Ok(true)
+    }
+
+    /// Commits the insertion planned in `cavity`; false, with nothing changed, where the store has no room.
+    ///
+    /// # Errors
+    /// As [`commit`].
+    pub fn commit_cavity<S: TetStore + ?Sized>(&mut self, store: &mut S, vertex: VertexId) -> Result<bool> {
+        if !store.has_room(self.cavity.created()) {
+            return Ok(false);
+        }
+        self.cavity.commit(store, vertex, &mut self.fresh)?;
         self.counts.accepted += 1;
         Ok(true)
     }
@@ -221,7 +237,7 @@ impl Reconnector {
         }
         let above = row[side.face()];
         let corners = store.face_vertices(side);
-        let [a, b, c] = corners.map(|v| store.point(v));
+        let [a, b, c] = store.triangle(corners);
         let (p, e) = (store.point(above), store.point(below));
         if objective == Objective::InSphere && insphere(a, c, b, p, e) <= 0.0 {
             return Outcome::WorsensQuality;
@@ -367,8 +383,7 @@ impl Reconnector {
 fn may_gain<S: TetStore + ?Sized>(store: &S, tet: TetId, objective: Objective) -> bool {
     let row = store.vertices(tet);
     let is_gone = row[0] == row[1] || row.contains(&VertexId::GHOST);
-    !is_gone
-        && (objective == Objective::InSphere || dihedral_cosines(row.map(|v| store.point(v))).1 < LARGE_ANGLE_COSINE)
+    !is_gone && (objective == Objective::InSphere || dihedral_cosines(store.corners(row)).1 < LARGE_ANGLE_COSINE)
 }
 
 /// How good a configuration is; higher is better.
@@ -376,7 +391,7 @@ fn grade<S: TetStore + ?Sized>(store: &S, objective: Objective, tets: &[[VertexI
     match objective {
         Objective::InSphere => 0.0,
         Objective::EdgeWeight => min_edge_weight(store, tets),
-        Objective::Skew => tets.iter().map(|t| MaxAngle.grade(t.map(|v| store.point(v)))).fold(f64::INFINITY, f64::min),
+        Objective::Skew => tets.iter().map(|t| MaxAngle.grade(store.corners(*t))).fold(f64::INFINITY, f64::min),
     }
 }
 

@@ -17,6 +17,7 @@
 pub mod assembly;
 pub mod boundary_recovery;
 mod cavity;
+pub mod cavity_insertion;
 pub mod delaunay_kernel;
 mod delaunay_parallel;
 pub mod domain_labels;

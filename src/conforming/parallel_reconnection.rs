@@ -298,8 +298,7 @@ impl Job for TreatJob<'_> {
             return Ok(if gone { Attempt::Done } else { Attempt::ClaimLost });
         }
         let row = store.vertices(tet);
-        let is_good =
-            row.contains(&VertexId::GHOST) || BiasedSine.grade(row.map(|v| store.point(v))) >= self.treatment.goal;
+        let is_good = row.contains(&VertexId::GHOST) || BiasedSine.grade(store.corners(row)) >= self.treatment.goal;
         store.release_claims();
         if is_good {
             return Ok(Attempt::Done);

@@ -24,7 +24,7 @@
 
 use glam::DVec3;
 
-use crate::geometry::predicates::orient3d;
+use crate::geometry::predicates::{offset_orientation, orient3d};
 use crate::geometry::tetrahedron::barycentric;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_FACES;
@@ -62,15 +62,18 @@ pub fn walk<S: TetStore + ?Sized>(store: &S, start: TetId, point: DVec3) -> Walk
         if row.contains(&VertexId::GHOST) {
             return Walk::Blocked;
         }
-        let corners = row.map(|v| store.point(v));
+        let corners = store.corners(row);
+        // Relative to the point, so that most faces are decided by one triple product.
+        let offsets = [corners[0] - point, corners[1] - point, corners[2] - point, corners[3] - point];
         let mut next = TetFace::NONE;
         for turn in 0..4 {
             let face = (step + turn) & 3;
             if face == entered {
                 continue;
             }
-            let [a, b, c] = TET_FACES[face].map(|i| corners[i]);
-            if orient3d(a, b, c, point) > 0.0 {
+            let [a, b, c] = TET_FACES[face];
+            let rough = offset_orientation(offsets[a], offsets[b], offsets[c]);
+            if rough.unwrap_or_else(|| orient3d(corners[a], corners[b], corners[c], point)) > 0.0 {
                 let side = TetFace::new(tet, face);
                 let other = store.neighbor(side);
                 if other == TetFace::NONE || store.is_face_constrained(side) {
@@ -94,7 +97,7 @@ pub fn walk<S: TetStore + ?Sized>(store: &S, start: TetId, point: DVec3) -> Walk
 /// barycentric weights are below it counts as lying on the face or edge.
 pub fn feature_of<S: TetStore + ?Sized>(store: &S, tet: TetId, point: DVec3, tolerance: f64) -> Feature {
     let row = store.vertices(tet);
-    let corners = row.map(|v| store.point(v));
+    let corners = store.corners(row);
     let weights = if tolerance > 0.0 { barycentric(corners, point) } else { [1.0; 4] };
     let mut off = [false; 4];
     for face in 0..4 {
@@ -142,8 +145,9 @@ pub fn interpolated_size<S: TetStore + ?Sized>(
     minimum_weight: f64,
 ) -> f64 {
     let row = store.vertices(tet);
-    let corner_sizes = row.map(|v| sizes[v.index()]);
-    let weights = barycentric(row.map(|v| store.point(v)), point);
+    let size_of = |v: VertexId| sizes[v.index()];
+    let corner_sizes = [size_of(row[0]), size_of(row[1]), size_of(row[2]), size_of(row[3])];
+    let weights = barycentric(store.corners(row), point);
     let smallest = corner_sizes.iter().copied().fold(f64::INFINITY, f64::min);
     let largest = corner_sizes.iter().copied().fold(0.0, f64::max);
     let linear: f64 = weights.iter().zip(corner_sizes).map(|(w, s)| w * s).sum();
@@ -197,6 +201,6 @@ fn is_clear_of_boundary<S: TetStore + ?Sized>(
         let vertices = store.face_vertices(side);
         let average = vertices.iter().map(|v| sizes[v.index()]).sum::<f64>() / 3.0;
         let limit = near_factor * size.max(average);
-        squared_distance_to_triangle(point, vertices.map(|v| store.point(v))) >= limit * limit
+        squared_distance_to_triangle(point, store.triangle(vertices)) >= limit * limit
     })
 }

@@ -105,9 +105,9 @@ fn place_in_tet(complex: &TetComplex, sizes: &[f64], tet: TetId, how: &Placement
 /// The point ahead of a face and its length scale; `None` for a face of no area.
 fn advance(complex: &TetComplex, sizes: &[f64], side: TetFace, how: &Placement) -> Option<(DVec3, f64)> {
     let vertices = complex.face_vertices(side);
-    let [a, b, c] = vertices.map(|v| complex.point(v));
+    let [a, b, c] = complex.triangle(vertices);
     let edges = [b - a, c - b, a - c];
-    let lengths = edges.map(DVec3::length);
+    let lengths = [edges[0].length(), edges[1].length(), edges[2].length()];
     // Outward from the tet, so the point lies against it.
     let normal = if how.accurate_normals {
         let longest = (0..3).max_by(|&i, &j| lengths[i].total_cmp(&lengths[j])).unwrap_or(0);

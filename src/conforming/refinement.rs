@@ -18,9 +18,10 @@
 
 use std::time::Instant;
 
+use glam::DVec3;
 use rayon::prelude::*;
 
-use super::front::{Satisfaction, deactivate};
+use super::front::{RESTING, SATISFIED, Satisfaction, corner_sizes, deactivate, rest_all_but};
 use super::local_reconnection::{FlipCounts, FourFour, Objective};
 use super::options::Options;
 use super::parallel_reconnection::{Driver, Insert};
@@ -221,9 +222,12 @@ pub fn check_limits(options: &Options, tets: f64, what: &str) -> Result<()> {
 }
 
 fn clear_marks(complex: &mut TetComplex) {
-    for tet in complex.live_tets().collect::<Vec<_>>() {
+    for tet in (0..complex.slot_count()).map(TetId::from_index) {
+        if !complex.is_live(tet) {
+            continue;
+        }
         let flags = complex.flags(tet);
-        complex.set_flags(tet, flags.with_user_bit(super::front::SATISFIED, false));
+        complex.set_flags(tet, flags.with_user_bit(SATISFIED, false).with_user_bit(RESTING, false));
     }
 }
 
@@ -240,7 +244,7 @@ fn refine_round(
 ) -> Result<Round> {
     if !options.group_active {
         active.clear();
-        active.extend(complex.finite_tets());
+        active.extend(complex.finite_tets().filter(|&tet| !complex.flags(tet).has_user_bit(RESTING)));
     }
     let satisfaction = Satisfaction::new(options.edge_satisfied_factor, options.satisfied_angle);
     let placement = Placement {
@@ -256,6 +260,7 @@ fn refine_round(
     let accepted = context.install(|| filter(complex, sizes, field, options, &candidates))?;
     drop(candidates);
     round.filtered = accepted.len();
+    rest_all_but(complex, active, accepted.iter().map(|a| a.origin));
     let inserts = assign_vertices(complex, sizes, &accepted, unused)?;
     drop(accepted);
     let rule = InsertionRule {
@@ -278,10 +283,31 @@ fn refine_round(
         (true, true) => FourFour::Best,
     };
     let repeats = if options.repeat_reconnection { usize::MAX } else { 1 };
-    driver.reconnect(complex, &mut fresh, objective, four, repeats)?;
+    // Tets that still have a long edge will be replaced by points: the second objective is for those that may stay.
+    let settles = |tet: &TetId| {
+        let row = complex.vertices(*tet);
+        complex.is_live(*tet)
+            && !row.contains(&VertexId::GHOST)
+            && satisfaction.is_short(complex.corners(row), corner_sizes(complex, sizes, *tet))
+    };
+    let mut settled: Vec<TetId> =
+        context.install(|| fresh.par_iter().with_min_len(1024).copied().filter(|tet| settles(tet)).collect());
+    let known = settled.len();
+    driver.reconnect(complex, &mut settled, objective, four, repeats)?;
     round.flips = driver.take_counts();
     active.extend(fresh);
+    active.extend_from_slice(&settled[known..]);
     Ok(round)
+}
+
+/// A candidate that passed the first test.
+struct Accepted {
+    point: DVec3,
+    size: f64,
+    /// The tet that contains it.
+    tet: TetId,
+    /// The tet whose front face it advances from.
+    origin: TetId,
 }
 
 /// The first test of the candidates, in parallel: where they lie, how large they are, what is too close.
@@ -291,9 +317,9 @@ fn filter(
     field: &SizeField,
     options: &Options,
     candidates: &[Candidate],
-) -> Result<Vec<(Candidate, f64)>> {
+) -> Result<Vec<Accepted>> {
     let is_free = field.is_free();
-    let test = |candidate: &Candidate| -> Option<Result<(Candidate, f64)>> {
+    let test = |candidate: &Candidate| -> Option<Result<Accepted>> {
         let Walk::Inside(tet) = walk(complex, candidate.tet, candidate.point) else { return None };
         let interpolated = interpolated_size(complex, sizes, tet, candidate.point, options.size_minimum_weight);
         let wanted = interpolated.min(options.growth_rate * candidate.scale);
@@ -302,8 +328,12 @@ fn filter(
             Ok(size) => size,
             Err(error) => return Some(Err(error)),
         };
-        is_clear(complex, sizes, tet, candidate.point, size, options.near_point_factor)
-            .then_some(Ok((Candidate { tet, ..*candidate }, size)))
+        is_clear(complex, sizes, tet, candidate.point, size, options.near_point_factor).then_some(Ok(Accepted {
+            point: candidate.point,
+            size,
+            tet,
+            origin: candidate.tet,
+        }))
     };
     candidates.par_iter().with_min_len(256).filter_map(test).collect()
 }
@@ -312,23 +342,23 @@ fn filter(
 fn assign_vertices(
     complex: &mut TetComplex,
     sizes: &mut Vec<f64>,
-    accepted: &[(Candidate, f64)],
+    accepted: &[Accepted],
     unused: &mut Vec<VertexId>,
 ) -> Result<Vec<Insert>> {
     let mut inserts = Vec::with_capacity(accepted.len());
-    for (candidate, size) in accepted {
+    for Accepted { point, size, tet, .. } in accepted {
         let vertex = match unused.pop() {
             Some(vertex) => {
-                complex.set_point(vertex, candidate.point);
+                complex.set_point(vertex, *point);
                 sizes[vertex.index()] = *size;
                 vertex
             }
             None => {
                 sizes.push(*size);
-                complex.push_point(candidate.point)?
+                complex.push_point(*point)?
             }
         };
-        inserts.push(Insert { vertex, start: candidate.tet });
+        inserts.push(Insert { vertex, start: *tet });
     }
     Ok(inserts)
 }

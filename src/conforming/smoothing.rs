@@ -210,7 +210,8 @@ impl Smoother {
                 return Outcome::ClaimLost;
             }
             let local = row.iter().position(|v| *v == vertex).unwrap_or(0);
-            let [a, b, c] = TET_FACES[local].map(|i| store.point(row[i]));
+            let [i, j, k] = TET_FACES[local];
+            let [a, b, c] = store.triangle([row[i], row[j], row[k]]);
             self.star.faces.push([a, c, b]);
         }
         Outcome::Accepted

@@ -3,7 +3,9 @@
 //! # Method
 //! 1. Walk from the tet of the point inserted last nearby to the tet that contains the point.
 //! 2. Apply the distance rules again (`point_filter`): candidates inserted since then are vertices now.
-//! 3. Split by 1-4, 2-6 or n-2n; restore empty circumspheres around the new vertex by flips.
+//! 3. Inside a tet: replace the tets whose circumspheres contain the point ([`super::cavity_insertion`]).
+//! 4. On a face or edge, and where that cavity cannot be made star-shaped: split by 2-6, n-2n or 1-4 and restore empty
+//!    circumspheres around the new vertex by flips.
 //!
 //! # Source
 //! [Drakopoulos2017] 4.7.1 (point insertion), figure 67; B.3 `loc`, `loctol`.
@@ -78,6 +80,20 @@ pub fn insert_vertex<S: TetStore + ?Sized>(
     }
     let feature = feature_of(store, tet, point, 0.0);
     let snapped = if rule.snap_tolerance > 0.0 { feature_of(store, tet, point, rule.snap_tolerance) } else { feature };
+    if matches!(snapped, Feature::Tet(_)) {
+        match reconnector.cavity.plan(store, tet, point) {
+            Outcome::Accepted => {
+                let committed = reconnector.commit_cavity(store, vertex)?;
+                store.release_claims();
+                return Ok(if committed { Insertion::Inserted } else { Insertion::NoRoom });
+            }
+            Outcome::ClaimLost => {
+                store.release_claims();
+                return Ok(Insertion::ClaimLost);
+            }
+            _ => {}
+        }
+    }
     let mut outcome = plan_insertion(store, snapped, vertex, &AnyPositive, &mut reconnector.scratch);
     if outcome != Outcome::Accepted && outcome != Outcome::ClaimLost && snapped != feature {
         outcome = plan_insertion(store, feature, vertex, &AnyPositive, &mut reconnector.scratch);

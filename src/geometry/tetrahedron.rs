@@ -73,13 +73,14 @@ pub fn dihedral_range(corners: Corners) -> AngleRange {
 #[inline]
 pub fn dihedral_cosines(corners: Corners) -> (f64, f64) {
     let normals = face_normals(corners);
-    let scale = normals.map(|n| n.length_squared().sqrt().recip());
-    let (mut largest, mut smallest) = (-1.0f64, 1.0f64);
-    for (k, l) in [(2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1)] {
-        let cosine = -normals[k].dot(normals[l]) * (scale[k] * scale[l]);
-        largest = largest.max(cosine);
-        smallest = smallest.min(cosine);
-    }
+    // Written out: closures over arrays are not inlined reliably, and improvement calls this for every tet in every pass.
+    let inverse = |n: DVec3| n.length_squared().sqrt().recip();
+    let scale = [inverse(normals[0]), inverse(normals[1]), inverse(normals[2]), inverse(normals[3])];
+    let cosine = |k: usize, l: usize| -normals[k].dot(normals[l]) * (scale[k] * scale[l]);
+    let first = [cosine(2, 3), cosine(1, 3), cosine(1, 2)];
+    let second = [cosine(0, 3), cosine(0, 2), cosine(0, 1)];
+    let largest = first[0].max(first[1]).max(first[2]).max(second[0]).max(second[1]).max(second[2]);
+    let smallest = first[0].min(first[1]).min(first[2]).min(second[0]).min(second[1]).min(second[2]);
     // `max` skips NaN, so a face of zero area is told by its scale.
     if scale.iter().all(|s| s.is_finite()) { (largest, smallest) } else { (1.0, -1.0) }
 }

@@ -130,7 +130,9 @@ pub trait TetStore {
     #[inline]
     fn face_vertices(&self, side: TetFace) -> [VertexId; 3] {
         let v = self.vertices(side.tet());
-        TET_FACES[side.face()].map(|i| v[i])
+        // Written out here and below: closures of array `map` are not inlined reliably, and these are the hottest reads.
+        let [i, j, k] = TET_FACES[side.face()];
+        [v[i], v[j], v[k]]
     }
 
     /// The vertex opposite to a side.
@@ -139,10 +141,22 @@ pub trait TetStore {
         self.vertices(side.tet())[side.face()]
     }
 
+    /// The points of four vertices.
+    #[inline]
+    fn corners(&self, [a, b, c, d]: [VertexId; 4]) -> [DVec3; 4] {
+        [self.point(a), self.point(b), self.point(c), self.point(d)]
+    }
+
+    /// The points of three vertices.
+    #[inline]
+    fn triangle(&self, [a, b, c]: [VertexId; 3]) -> [DVec3; 3] {
+        [self.point(a), self.point(b), self.point(c)]
+    }
+
     /// The points of a finite tet.
     #[inline]
     fn points_of(&self, tet: TetId) -> [DVec3; 4] {
-        self.vertices(tet).map(|v| self.point(v))
+        self.corners(self.vertices(tet))
     }
 
     /// Whether the exact volume of a finite tet is positive.
