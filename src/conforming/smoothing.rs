@@ -26,10 +26,11 @@ use glam::DVec3;
 use super::flip_criteria::TetMeasure;
 use super::flips::{Outcome, touches_constraint};
 use crate::geometry::predicates::orient3d;
-use crate::index::{TetId, VertexId};
+use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_FACES;
+use crate::mesh::tet_flags::TetFlags;
 use crate::mesh::tet_store::TetStore;
-use crate::mesh::topology::collect_ball;
+use crate::mesh::topology::BallWalk;
 
 /// Height of the regular tet over its edge.
 const EQUILATERAL_HEIGHT: f64 = 0.816_496_580_927_726;
@@ -87,6 +88,21 @@ impl Star {
             if worst <= bound {
                 break;
             }
+        }
+        worst
+    }
+
+    /// The grade at `point`; the face of the worst tet becomes the first, so that trials which worsen it end at once.
+    fn put_worst_first<M: TetMeasure>(&mut self, measure: &M, point: DVec3) -> f64 {
+        let (mut worst, mut at) = (f64::INFINITY, 0);
+        for (number, &[a, b, c]) in self.faces.iter().enumerate() {
+            let grade = measure.grade([a, b, c, point]);
+            if grade < worst {
+                (worst, at) = (grade, number);
+            }
+        }
+        if !self.faces.is_empty() {
+            self.faces.swap(0, at);
         }
         worst
     }
@@ -199,11 +215,12 @@ impl Smoother {
             return Outcome::ClaimLost;
         }
         let Some(start) = store.tet_of(vertex).some() else { return Outcome::NotApplicable };
-        collect_ball(store, vertex, start, &mut self.ball);
         self.star.faces.clear();
-        for &tet in &self.ball {
-            let row = store.vertices(tet);
-            if touches_constraint(store, tet, vertex) || row.contains(&VertexId::GHOST) {
+        let mut walk = BallWalk::new(start, &mut self.ball);
+        while let Some(tet) = walk.next() {
+            let (row, neighbors) = (store.vertices(tet), store.neighbors(tet));
+            let is_free = store.flags(tet).constraints() == TetFlags::LIVE && !neighbors.contains(&TetFace::NONE);
+            if row.contains(&VertexId::GHOST) || !(is_free || !touches_constraint(store, tet, vertex)) {
                 return Outcome::Constrained;
             }
             if !store.try_claim_all(&row) {
@@ -213,6 +230,11 @@ impl Smoother {
             let [i, j, k] = TET_FACES[local];
             let [a, b, c] = store.triangle([row[i], row[j], row[k]]);
             self.star.faces.push([a, c, b]);
+            for face in 0..4 {
+                if face != local && neighbors[face] != TetFace::NONE {
+                    walk.meet(neighbors[face].tet());
+                }
+            }
         }
         Outcome::Accepted
     }
@@ -232,7 +254,7 @@ impl Smoother {
         let at = store.point(vertex);
         let bound = match rule.acceptance {
             Acceptance::Valid => 0.0,
-            Acceptance::Smart => self.star.grade(measure, at, f64::NEG_INFINITY),
+            Acceptance::Smart => self.star.put_worst_first(measure, at),
         };
         let other = match rule.target {
             Target::OptimalPlacement => Target::Centroids,

@@ -22,8 +22,10 @@ use super::numbering::{TET_EDGE_BETWEEN, TET_EDGES, TET_OPPOSITE_EDGES};
 use super::tet_store::TetStore;
 use crate::index::{TetFace, TetId, VertexId};
 
-/// Balls larger than this are searched by hash.
-const LINEAR_BALL: usize = 64;
+/// Balls up to this size are searched in a table on the stack, larger ones by a set that grows.
+const SMALL_BALL: usize = 64;
+/// Slots of that table: at most half of them are taken.
+const BALL_SLOTS: usize = 128;
 
 /// One tet of a shell: its local vertices with `(a, b, c, d)` positive, `a b` the edge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -125,31 +127,66 @@ pub fn collect_shell<S: TetStore + ?Sized>(
 
 /// Collects the tets at `vertex` (ghost tets included) into `ball`, starting from `start`, one of them.
 pub fn collect_ball<S: TetStore + ?Sized>(store: &S, vertex: VertexId, start: TetId, ball: &mut Vec<TetId>) {
-    ball.clear();
-    ball.push(start);
-    let mut seen: FxHashSet<TetId> = FxHashSet::default();
-    let mut next = 0;
-    while next < ball.len() {
-        let tet = ball[next];
-        next += 1;
+    let mut walk = BallWalk::new(start, ball);
+    while let Some(tet) = walk.next() {
         let vertices = store.vertices(tet);
         let neighbors = store.neighbors(tet);
         for face in 0..4 {
-            if vertices[face] == vertex || neighbors[face] == TetFace::NONE {
-                continue;
+            if vertices[face] != vertex && neighbors[face] != TetFace::NONE {
+                walk.meet(neighbors[face].tet());
             }
-            let other = neighbors[face].tet();
-            let is_new = if ball.len() < LINEAR_BALL {
-                !ball.contains(&other)
-            } else {
-                if seen.is_empty() {
-                    seen.extend(ball.iter().copied());
+        }
+    }
+}
+
+/// Breadth-first order of the tets of a ball: each is handed out once and what lies behind its faces is met.
+pub struct BallWalk<'a> {
+    ball: &'a mut Vec<TetId>,
+    next: usize,
+    /// Open addressing while the ball is small; the slot of an id is its low bits.
+    slots: [TetId; BALL_SLOTS],
+    seen: FxHashSet<TetId>,
+}
+
+impl<'a> BallWalk<'a> {
+    /// Starts at `start`; the tets met are listed in `ball`.
+    #[inline]
+    pub fn new(start: TetId, ball: &'a mut Vec<TetId>) -> Self {
+        ball.clear();
+        let mut walk = Self { ball, next: 0, slots: [TetId::NONE; BALL_SLOTS], seen: FxHashSet::default() };
+        walk.meet(start);
+        walk
+    }
+
+    /// The next tet to look at.
+    #[inline]
+    #[allow(clippy::should_implement_trait, reason = "an iterator could not be told what was met meanwhile")]
+    pub fn next(&mut self) -> Option<TetId> {
+        let tet = self.ball.get(self.next).copied();
+        self.next += 1;
+        tet
+    }
+
+    /// Takes in a tet of the ball, if it was not met before.
+    #[inline]
+    pub fn meet(&mut self, tet: TetId) {
+        if self.ball.len() < SMALL_BALL {
+            let mut at = tet.index() % BALL_SLOTS;
+            while self.slots[at] != TetId::NONE {
+                if self.slots[at] == tet {
+                    return;
                 }
-                seen.insert(other)
-            };
-            if is_new {
-                ball.push(other);
+                at = (at + 1) % BALL_SLOTS;
             }
+            self.slots[at] = tet;
+            self.ball.push(tet);
+            return;
+        }
+        if self.seen.is_empty() {
+            self.seen.extend(self.ball.iter().copied());
+        }
+        if self.seen.insert(tet) {
+            self.ball.push(tet);
         }
     }
 }
