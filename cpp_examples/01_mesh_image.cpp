@@ -10,15 +10,15 @@
 #include <vector>
 
 int main(int argc, char **argv) {
-    // A head of 64^3 voxels of 2 mm: label 1 is tissue, label 2 a tumour in it, 0 is air.
-    const int n = 64;
+    // A head of 48^3 voxels of 3 mm: label 1 is tissue, label 2 a tumour in it, 0 is air.
+    const int n = 48;
     std::vector<std::uint16_t> voxels(n * n * n);
     for (int k = 0; k < n; ++k)
         for (int j = 0; j < n; ++j)
             for (int i = 0; i < n; ++i) {
-                const double x = (i - 31.5) / 26, y = (j - 31.5) / 29, z = (k - 31.5) / 24;
-                const double u = i - 40.0, v = j - 34.0, w = k - 33.0;
-                const bool tissue = x * x + y * y + z * z < 1.0, tumour = u * u + v * v + w * w < 64.0;
+                const double x = (i - 23.5) / 19, y = (j - 23.5) / 22, z = (k - 23.5) / 18;
+                const double u = i - 30.0, v = j - 26.0, w = k - 25.0;
+                const bool tissue = x * x + y * y + z * z < 1.0, tumour = u * u + v * v + w * w < 36.0;
                 voxels[i + n * (j + n * k)] = tumour ? 2 : tissue ? 1 : 0;
             }
 
@@ -26,15 +26,15 @@ int main(int argc, char **argv) {
         const mw::Context context; // one thread per core
 
         mw::Geometry geometry;
-        geometry.spacing = {{2.0, 2.0, 2.0}};
-        geometry.origin = {{-63.0, -63.0, -63.0}};
+        geometry.spacing = {{3.0, 3.0, 3.0}};
+        geometry.origin = {{-70.5, -70.5, -70.5}};
         const mw::Image image(context, voxels.data(), {{n, n, n}}, geometry, MW_BORROW);
 
         mw::Job job(context, MW_JOB_IMAGE_TO_MESH);
         job.set("labels", image);
         job.set("lattice-spacing", 10.0);  // largest elements, mm
-        job.set("fidelity", 0.9);          // share of each label's voxels that the mesh must get right
-        job.set_for("fidelity", 2, 0.95);  // more for the tumour
+        job.set("fidelity", 0.85);         // share of each label's voxels that the mesh must get right
+        job.set_for("fidelity", 2, 0.9);   // more for the tumour
         job.run();
 
         const mw::Mesh mesh = job.mesh();

@@ -10,13 +10,13 @@
 #include <vector>
 
 static mw::Image ball(const mw::Context &context) {
-    const int n = 96;
+    const int n = 72;
     std::vector<std::uint8_t> voxels(n * n * n);
     for (int k = 0; k < n; ++k)
         for (int j = 0; j < n; ++j)
             for (int i = 0; i < n; ++i) {
-                const double x = i - 47.5, y = j - 47.5, z = k - 47.5;
-                voxels[i + n * (j + n * k)] = x * x + y * y + z * z < 1600.0;
+                const double x = i - 35.5, y = j - 35.5, z = k - 35.5;
+                voxels[i + n * (j + n * k)] = x * x + y * y + z * z < 900.0;
             }
     return mw::Image(context, voxels.data(), {{n, n, n}}); // copied: the vector may go
 }

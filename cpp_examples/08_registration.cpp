@@ -1,15 +1,14 @@
 // Registers two scans: a ball of tissue with texture, and the same after a known deformation. The displacement field
 // and the warped scan are images.
 //
-//   08_registration
+//   08_registration [VOXELS_PER_SIDE]
 #include <meshwright.hpp>
 
 #include <cmath>
 #include <cstdint>
+#include <cstdlib>
 #include <iostream>
 #include <vector>
-
-static const int n = 56;
 
 /// Texture of the tissue at a point of the moving scan.
 static double texture(double x, double y, double z) {
@@ -18,23 +17,25 @@ static double texture(double x, double y, double z) {
 /// Where a point of the fixed scan was before: 3 mm of shift at one side, nothing at the other.
 static double shift(double z) { return 3.0 * (z + 28.0) / 56.0; }
 
-int main() {
+int main(int argc, char **argv) {
+    const int n = argc > 1 ? std::atoi(argv[1]) : 56;
+    const double middle = 0.5 * (n - 1), radius = middle - 3.5, squared_radius = radius * radius;
     std::vector<float> fixed(n * n * n), moving(n * n * n);
     std::vector<std::uint8_t> tissue(n * n * n);
     for (int k = 0; k < n; ++k)
         for (int j = 0; j < n; ++j)
             for (int i = 0; i < n; ++i) {
-                const double x = i - 27.5, y = j - 27.5, z = k - 27.5;
+                const double x = i - middle, y = j - middle, z = k - middle;
                 const int at = i + n * (j + n * k);
-                tissue[at] = x * x + y * y + z * z < 24.0 * 24.0;
+                tissue[at] = x * x + y * y + z * z < squared_radius;
                 moving[at] = static_cast<float>(tissue[at] ? texture(x, y, z) : 0.0);
                 const double w = z + shift(z);
-                fixed[at] = static_cast<float>(x * x + y * y + w * w < 24.0 * 24.0 ? texture(x, y, w) : 0.0);
+                fixed[at] = static_cast<float>(x * x + y * y + w * w < squared_radius ? texture(x, y, w) : 0.0);
             }
     try {
         const mw::Context context;
         mw::Geometry geometry;
-        geometry.origin = {{-27.5, -27.5, -27.5}};
+        geometry.origin = {{-middle, -middle, -middle}};
         const std::array<std::int64_t, 3> dims = {{n, n, n}};
         mw::Job job(context, MW_JOB_REGISTRATION);
         job.set("fixed", mw::Image(context, fixed.data(), dims, geometry));
@@ -50,8 +51,8 @@ int main() {
         for (int k = 8; k < n - 8; ++k)
             for (int j = 8; j < n - 8; ++j)
                 for (int i = 8; i < n - 8; ++i) {
-                    const double x = i - 27.5, y = j - 27.5, z = k - 27.5, truth = shift(z);
-                    if (x * x + y * y + z * z > 18.0 * 18.0) continue;
+                    const double x = i - middle, y = j - middle, z = k - middle, truth = shift(z);
+                    if (x * x + y * y + z * z > 0.56 * squared_radius) continue;
                     const std::int64_t at = i * desc.stride[0] + j * desc.stride[1] + k * desc.stride[2];
                     double u[3];
                     for (int axis = 0; axis < 3; ++axis)
