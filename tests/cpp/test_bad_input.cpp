@@ -2,8 +2,11 @@
 // status with a text, and the process lives on.
 #include "support.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <cstdlib>
 #include <limits>
+#include <unistd.h>
 
 static void null_everywhere() {
     CHECK(mw_context_create(1, nullptr) == MW_E_ARG);
@@ -224,6 +227,86 @@ static void order_of_calls(const mw::Context &context) {
     mw_mesh_destroy(mesh);
 }
 
+/// Every order of destroying a context, an image, a job that ran and its mesh; what is left stays usable.
+static void destroy_in_any_order() {
+    int order[] = {0, 1, 2, 3};
+    do {
+        mw_context *context = nullptr;
+        mw_image *image = nullptr;
+        mw_job *job = nullptr;
+        mw_mesh *mesh = nullptr;
+        const std::vector<std::uint8_t> voxels = two_balls(12);
+        const mw_image_desc desc = describe(voxels, 12);
+        CHECK(mw_context_create(1, &context) == MW_OK);
+        CHECK(mw_image_create(context, &desc, &image) == MW_OK);
+        CHECK(mw_job_create(context, MW_JOB_IMAGE_TO_MESH, &job) == MW_OK);
+        CHECK(mw_job_set_image(job, "labels", image) == MW_OK);
+        CHECK(mw_job_set_f64(job, "lattice-spacing", 4.0) == MW_OK);
+        CHECK(mw_job_run(job) == MW_OK && mw_job_take_mesh(job, &mesh) == MW_OK);
+        const std::int64_t cells = mw_mesh_cell_count(mesh);
+        for (int step = 0; step < 4; ++step) {
+            switch (order[step]) {
+            case 0: mw_context_destroy(context), context = nullptr; break;
+            case 1: mw_image_destroy(image), image = nullptr; break;
+            case 2: mw_job_destroy(job), job = nullptr; break;
+            default: mw_mesh_destroy(mesh), mesh = nullptr; break;
+            }
+            mw_image_desc out = mw_image_desc();
+            out.struct_size = sizeof out;
+            double value = 0.0;
+            if (image) CHECK(mw_image_describe(image, &out) == MW_OK && out.dims[0] == 12);
+            if (job) CHECK(mw_job_stat(job, "time.total", &value) == MW_OK || mw_job_stat_count(job) > 0);
+            if (mesh) CHECK(mw_mesh_cell_count(mesh) == cells && mw_mesh_check(mesh) == MW_OK);
+        }
+    } while (std::next_permutation(order, order + 4));
+}
+
+/// What is wrong with the values together with the image shows when the job runs; the job can be run again after.
+static void runs_that_cannot_be(const mw::Context &context) {
+    const std::vector<std::uint8_t> voxels = two_balls(12);
+    mw::Job job(context, MW_JOB_IMAGE_TO_MESH);
+    job.set("labels", mw::Image(context, describe(voxels, 12)));
+    mw_mesh *mesh = nullptr;
+    CHECK(mw_job_set_f64(job.get(), "lattice-spacing", 1000.0) == MW_OK && mw_job_run(job.get()) == MW_E_PARAM);
+    CHECK(std::strstr(mw_last_error(), "larger than the image"));
+    CHECK(mw_job_take_mesh(job.get(), &mesh) == MW_E_STATE && !mesh);
+    CHECK(mw_job_set_f64(job.get(), "lattice-spacing", 4.0) == MW_OK);
+    CHECK(mw_job_set_f64_for(job.get(), "fidelity", 9, 0.9) == MW_OK && mw_job_run(job.get()) == MW_E_PARAM);
+    CHECK(std::strstr(mw_last_error(), "label 9"));
+    CHECK(mw_job_reset_params(job.get()) == MW_OK && mw_job_set_f64(job.get(), "lattice-spacing", 4.0) == MW_OK);
+    job.run();
+    CHECK(mw_mesh_write(job.mesh().get(), "/dev/full", "format=vtu") == MW_E_IO);
+
+    const std::vector<std::uint8_t> one(1, 9);
+    mw::Job smallest(context, MW_JOB_IMAGE_TO_MESH);
+    smallest.set("labels", mw::Image(context, one.data(), {{1, 1, 1}}));
+    smallest.run();
+    smallest.mesh().check();
+}
+
+/// Files that are no image: what the reader answers, and that it makes no handle.
+static void image_files(const mw::Context &context) {
+    const std::string head = "NRRD0004\ntype: uchar\ndimension: 3\n";
+    const std::string contents[] = {"", "this is\nno image\n", head, head + "sizes: 1048576 1024 1024\nencoding: raw\n\n1234",
+                                    head + "sizes: 2 2 1\nspacings: 1 0 1\nencoding: raw\n\n1234",
+                                    "NRRD0004\ntype: uchar\ndimension: 2\nsizes: 2 2\nencoding: raw\n\n1234",
+                                    "NRRD0004\ntype: uchar\ndimension: 4\nsizes: 2 1 1 2\nencoding: raw\n\n1234",
+                                    head + "sizes: 2 2 1\nencoding: gzip\n\n\x1f\x8b\x08"};
+    char path[] = "/tmp/meshwright-bad-XXXXXX.nrrd";
+    const int file = mkstemps(path, 5);
+    CHECK(file >= 0);
+    for (const std::string &text : contents) {
+        std::FILE *out = std::fopen(path, "wb");
+        CHECK(out && std::fwrite(text.data(), 1, text.size(), out) == text.size() && std::fclose(out) == 0);
+        mw_image *image = reinterpret_cast<mw_image *>(1);
+        const mw_status status = mw_image_read(context.get(), path, &image);
+        CHECK(status == MW_E_FORMAT && !image && std::strstr(mw_last_error(), path));
+        if (status != MW_E_FORMAT) std::fprintf(stderr, "status %d for: %s\n", status, text.c_str());
+    }
+    close(file);
+    std::remove(path);
+}
+
 static void meshes(const mw::Context &context) {
     const double points[] = {0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1};
     const std::uint8_t types[] = {10};
@@ -305,6 +388,9 @@ int main() {
     labels(two);
     parameters(two);
     order_of_calls(two);
+    destroy_in_any_order();
+    runs_that_cannot_be(two);
+    image_files(two);
     meshes(two);
     surfaces_and_sizes(two);
     open_surface_lists_its_faults(two);

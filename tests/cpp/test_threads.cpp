@@ -75,6 +75,33 @@ static void cancel_at_random_moments() {
     job.mesh().check();
 }
 
+/// A progress function that cancels after a random number of reports, from a context that four threads share.
+static void callbacks_cancel_at_random_moments() {
+    const mw::Context context(2);
+    std::vector<std::thread> threads;
+    std::atomic<int> bad(0), cancelled(0);
+    for (unsigned t = 0; t < 4; ++t)
+        threads.emplace_back([&context, &bad, &cancelled, t] {
+            std::mt19937 random(20261121 + t);
+            mw::Job job = ball_job(context, 40, 2.0);
+            for (int round = 0; round < 3; ++round) {
+                const int last = static_cast<int>(random() % 8);
+                int reports = 0;
+                job.set_progress([&reports, last](const std::string &, double) { return ++reports <= last; });
+                const mw_status status = mw_job_run(job.get());
+                mw_mesh *mesh = nullptr;
+                const mw_status taken = mw_job_take_mesh(job.get(), &mesh);
+                const bool whole = status == MW_OK && taken == MW_OK && mw_mesh_check(mesh) == MW_OK;
+                bad += !whole && !(status == MW_E_CANCELLED && taken == MW_E_STATE && !mesh);
+                cancelled += status == MW_E_CANCELLED;
+                mw_mesh_destroy(mesh);
+            }
+        });
+    for (std::thread &thread : threads) thread.join();
+    std::printf("%d of 12 runs were cancelled by their progress function\n", cancelled.load());
+    CHECK(bad == 0 && cancelled > 0);
+}
+
 static void progress_cancels_and_throws() {
     const mw::Context context(2);
     mw::Job job = ball_job(context, 48, 2.0);
@@ -134,6 +161,7 @@ int main() {
     one_context_many_threads();
     same_bits_for_any_number_of_threads();
     cancel_at_random_moments();
+    callbacks_cancel_at_random_moments();
     progress_cancels_and_throws();
     a_job_in_use_says_so();
     log_lines_come_one_at_a_time();
