@@ -18,7 +18,8 @@ all:
 dependencies:
 	scripts/install_dependencies.sh
 
-demo: dependencies
+demo:
+	scripts/install_dependencies.sh demo
 	$(CARGO) build --release --locked
 	scripts/demo.sh
 

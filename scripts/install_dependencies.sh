@@ -1,8 +1,12 @@
 #!/usr/bin/env bash
-# Installs from the distribution what the tests and the demo need and this machine lacks. Rust itself is expected.
+# Installs from the distribution what the demo (usage: install_dependencies.sh demo) or the tests (without an argument) need and
+# this machine lacks. Rust itself is expected.
 set -euo pipefail
-packages=(build-essential cmake pkg-config clang valgrind abigail-tools libvtk9-dev libcgal-dev libtet1.5-dev tetgen
-    mricron-data python3-venv)
+packages=(gcc libc6-dev mricron-data python3-venv)
+if [ "${1:-test}" != demo ]; then
+    packages+=(build-essential cmake pkg-config clang valgrind abigail-tools libvtk9-dev libcgal-dev libtet1.5-dev tetgen
+        openfoam xvfb xauth)
+fi
 missing=()
 for package in "${packages[@]}"; do
     dpkg-query -W -f='${Status}' "$package" 2> /dev/null | grep -q "ok installed" || missing+=("$package")

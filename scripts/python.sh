@@ -1,11 +1,13 @@
 #!/usr/bin/env bash
-# A Python environment under target/ with the packages that the tests in tests/python and the demo use.
+# A Python environment under target/ with the packages that the demo (usage: python.sh demo) or the tests (without an argument) use.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 environment=${CARGO_TARGET_DIR:-target}/python
+wanted=(scripts/requirements.txt)
+[ "${1:-test}" = demo ] || wanted+=(tests/python/requirements.txt)
 [ -x "$environment/bin/python" ] || python3 -m venv "$environment"
-stamp=$environment/requirements.txt
-if ! cmp -s tests/python/requirements.txt "$stamp"; then
-    "$environment/bin/python" -m pip install --quiet --disable-pip-version-check -r tests/python/requirements.txt
-    cp tests/python/requirements.txt "$stamp"
+stamp=$environment/installed-${#wanted[@]}
+if ! cat "${wanted[@]}" | cmp -s - "$stamp"; then
+    "$environment/bin/python" -m pip install --quiet --disable-pip-version-check "${wanted[@]/#/-r}"
+    cat "${wanted[@]}" > "$stamp"
 fi

@@ -83,6 +83,14 @@ assert "SPACE=RAS" in vtk_read("ras.vtk")[5].GetHeader()
 convert("ras.vtk", "back.vtu", "--space", "lps")
 same_as_source("back.vtu", "LPS")
 
+# meshio knows no text arrays, which is what Slicer wants SPACE to be: it reads untagged files, and legacy ones with a tag.
+for target, options in [("u.vtu", ["--space", "none"]), ("z.vtu", ["--space", "none", "--compress"]), ("u.vtk", ["--space", "lps"])]:
+    convert("lps.vtu", target, *options)
+    other = meshio.read(path(target))
+    assert np.array_equal(other.points, points) and sum(len(block.data) for block in other.cells) >= 7, target
+    assert vtk_read(target)[4] is None
+assert "SPACE=LPS" in vtk_read("u.vtk")[5].GetHeader()
+
 for target, options in [("m.msh", []), ("m.msh", ["--ascii"]), ("m.msh", ["--format-version", "2.2"]), ("m.msh", ["--format-version", "2.2", "--ascii"]), ("m.mesh", []), ("m.meshb", [])]:
     convert("source.vtu", target, *options)
     convert(target, "n.vtu")

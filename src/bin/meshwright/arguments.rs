@@ -231,8 +231,10 @@ fn format_arguments() -> [Arg; 5] {
     };
     let flag = |name: &'static str| Arg::new(name).long(name).action(ArgAction::SetTrue).help_heading("Files");
     [
-        choice("space", &["lps", "ras"])
-            .help("Frame of the coordinates in written meshes [default: that of the input]"),
+        choice("space", &["lps", "ras", "none"]).help(
+            "Frame of the coordinates in written meshes; none keeps them and writes no tag, for readers of .vtu that \
+             know no text arrays, as meshio [default: that of the input]",
+        ),
         choice("format-version", &["2.2", "4.1", "4.2", "5.1"])
             .help("Version of .vtk (4.2, 5.1) and .msh (2.2, 4.1) files [default: 4.2 and 4.1]"),
         flag("ascii").help("Write text where a format has both text and bytes"),
@@ -263,6 +265,7 @@ pub fn write_options(matches: &ArgMatches, path: &Path) -> Result<WriteOptions> 
     };
     let space = match given("space") {
         Some("ras") => Some(Space::Ras),
+        Some("none") => Some(Space::Unspecified),
         Some(_) => Some(Space::Lps),
         None => None,
     };
