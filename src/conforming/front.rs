@@ -22,7 +22,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::geometry::tetrahedron::{dihedral_cosines, edge_vectors};
+use crate::geometry::tetrahedron::{edge_vectors, exceeds_angle};
 use crate::index::{TetFace, TetId};
 use crate::mesh::numbering::TET_EDGES;
 use crate::mesh::tet_complex::TetComplex;
@@ -54,7 +54,7 @@ impl Satisfaction {
     /// Whether a tet with these corners and sizes is satisfied.
     #[inline]
     pub fn holds(&self, corners: [DVec3; 4], sizes: [f64; 4]) -> bool {
-        self.is_short(corners, sizes) && dihedral_cosines(corners).1 > self.angle_cosine
+        self.is_short(corners, sizes) && !exceeds_angle(corners, self.angle_cosine)
     }
 
     /// Whether all edges of a tet are short enough.

@@ -27,7 +27,7 @@ use crate::conforming::flip_criteria::{MaxAngle, TetMeasure, min_edge_weight};
 use crate::conforming::flips::{FlipScratch, Outcome, collect_ring, commit};
 use crate::error::Result;
 use crate::geometry::predicates::{insphere, orient3d};
-use crate::geometry::tetrahedron::dihedral_cosines;
+use crate::geometry::tetrahedron::exceeds_angle;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::tet_store::TetStore;
 use crate::mesh::topology::ShellTet;
@@ -383,7 +383,7 @@ impl Reconnector {
 fn may_gain<S: TetStore + ?Sized>(store: &S, tet: TetId, objective: Objective) -> bool {
     let row = store.vertices(tet);
     let is_gone = row[0] == row[1] || row.contains(&VertexId::GHOST);
-    !is_gone && (objective == Objective::InSphere || dihedral_cosines(store.corners(row)).1 < LARGE_ANGLE_COSINE)
+    !is_gone && (objective == Objective::InSphere || exceeds_angle(store.corners(row), LARGE_ANGLE_COSINE))
 }
 
 /// How good a configuration is; higher is better.

@@ -499,7 +499,7 @@ pub const PARAMETERS: Table = &[
         "Factor on the handed over share in quality passes.",
     ),
     flag("group-active", "ordt", true, PARALLEL, "Keep active elements together instead of spread over the list."),
-    flag("sort-new-points", "sortp", false, PARALLEL, "Sort the new points of a pass along a Hilbert curve."),
+    flag("sort-new-points", "sortp", true, PARALLEL, "Sort the new points of a pass along a Hilbert curve."),
     flag(
         "group-active-quality",
         "ordtq",

@@ -38,6 +38,7 @@ use crate::mesh::numbering::TET_EDGES;
 use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
 use crate::mesh::topology::ShellTet;
+use crate::parallel::claim_table::ClaimTable;
 use crate::parallel::speculative::{Attempt, SpeculativeCounts, Worker, run_speculative};
 use crate::parallel::work_queue::WorkSettings;
 use crate::statistics::Statistics;
@@ -78,6 +79,8 @@ struct Kit {
     /// Sizes of the vertices taken from `spare`.
     new_sizes: Vec<(VertexId, f64)>,
     removed: Vec<VertexId>,
+    /// Vertices that smoothing moved.
+    moved: Vec<VertexId>,
     tally: Tally,
 }
 
@@ -159,7 +162,10 @@ impl Job for SmoothJob<'_> {
         let rule = if is_near { self.near_boundary } else { self.rule };
         let outcome = kit.smoother.smooth(store, vertex, &BiasedSine, rule);
         store.release_claims();
-        kit.tally.smoothed += u64::from(outcome == Outcome::Accepted);
+        if outcome == Outcome::Accepted {
+            kit.tally.smoothed += 1;
+            kit.moved.push(vertex);
+        }
         Ok(if outcome == Outcome::ClaimLost { Attempt::ClaimLost } else { Attempt::Done })
     }
 }
@@ -356,6 +362,8 @@ pub struct Driver {
     spare: Vec<VertexId>,
     flips: FlipCounts,
     speculative: SpeculativeCounts,
+    /// Kept from pass to pass: a new table for every pass would cost more than small passes do.
+    claims: ClaimTable,
 }
 
 impl Driver {
@@ -368,7 +376,8 @@ impl Driver {
         }
         settings.transfer_share = options.transfer_fraction;
         settings.transfer_decay = options.transfer_reduction;
-        Self::new(context, threads, settings, options.sort_new_points)
+        // The points were sorted before they became vertices, and what they change follows their order.
+        Self::new(context, threads, settings, false)
     }
 
     /// The driver of quality improvement.
@@ -394,6 +403,7 @@ impl Driver {
             spare: Vec::new(),
             flips: FlipCounts::default(),
             speculative: SpeculativeCounts::default(),
+            claims: ClaimTable::default(),
         }
     }
 
@@ -438,7 +448,7 @@ impl Driver {
             let kits = std::mem::take(&mut self.kits);
             let room = room.min(items.len().saturating_mul(2 * TETS_PER_INSERT)) + 4 * self.threads * ATTEMPT_ROOM;
             let (context, settings) = (&self.context, self.settings);
-            let (result, kits) = with_claims(complex, self.threads, room, |views| {
+            let (result, kits) = with_claims(complex, &mut self.claims, self.threads, room, |views| {
                 let mut threads: Vec<Thread<J>> =
                     views.into_iter().zip(kits).map(|(store, kit)| Thread { store, kit, job }).collect();
                 let result = run_speculative(context, &mut threads, items, settings);
@@ -479,7 +489,7 @@ impl Driver {
         Ok(fresh)
     }
 
-    /// Inserts vertices; returns those that were not inserted. `fresh` gains the tets that are new.
+    /// Inserts vertices in this order; returns those that were not inserted. `fresh` gains the tets that are new.
     ///
     /// # Errors
     /// [`crate::error::Error::Cancelled`], or what the store refuses.
@@ -491,10 +501,6 @@ impl Driver {
         rule: &InsertionRule,
         fresh: &mut Vec<TetId>,
     ) -> Result<Vec<VertexId>> {
-        let mut inserts = inserts;
-        if self.sorts {
-            sort_along_curve(complex, &mut inserts, |i| i.vertex)?;
-        }
         self.kits.iter_mut().for_each(|kit| kit.last = None);
         let room = TETS_PER_INSERT * inserts.len();
         self.run(complex, &InsertJob { sizes, rule }, inserts, room)?;
@@ -553,21 +559,23 @@ impl Driver {
         self.finish_lost(complex, Objective::EdgeWeight, FourFour::Off).map(|_| ())
     }
 
-    /// Smooths vertices; those with a neighbour on the boundary move `boundary_factor` of the way.
+    /// Smooths vertices; those with a neighbour on the boundary move `boundary_factor` of the way. Returns those that
+    /// moved: where one found no better place, the next round will hardly find one.
     ///
     /// # Errors
     /// As [`Driver::insert`].
     pub fn smooth(
         &mut self,
         complex: &mut TetComplex,
-        vertices: &[VertexId],
+        vertices: Vec<VertexId>,
         on_boundary: &[bool],
         rule: &SmoothingRule,
         boundary_factor: f64,
-    ) -> Result<()> {
+    ) -> Result<Vec<VertexId>> {
         let near_boundary = SmoothingRule { coefficient: rule.coefficient * boundary_factor, ..*rule };
         let job = SmoothJob { rule, near_boundary: &near_boundary, on_boundary };
-        self.run(complex, &job, vertices.to_vec(), 0)
+        self.run(complex, &job, vertices, 0)?;
+        Ok(self.kits.iter_mut().flat_map(|kit| std::mem::take(&mut kit.moved)).collect())
     }
 
     /// Improves bad tets one by one; returns how many operations were carried out.

@@ -93,6 +93,15 @@ pub fn walk<S: TetStore + ?Sized>(store: &S, start: TetId, point: DVec3) -> Walk
     Walk::Lost
 }
 
+/// Whether `point` lies in `tet`, boundary included.
+pub fn contains<S: TetStore + ?Sized>(store: &S, tet: TetId, point: DVec3) -> bool {
+    let row = store.vertices(tet);
+    !row.contains(&VertexId::GHOST) && {
+        let corners = store.corners(row);
+        TET_FACES.iter().all(|&[a, b, c]| orient3d(corners[a], corners[b], corners[c], point) <= 0.0)
+    }
+}
+
 /// The smallest feature of `tet` that contains `point`, which lies in it. With `tolerance` above 0, a point whose
 /// barycentric weights are below it counts as lying on the face or edge.
 pub fn feature_of<S: TetStore + ?Sized>(store: &S, tet: TetId, point: DVec3, tolerance: f64) -> Feature {

@@ -33,7 +33,7 @@ use super::refinement::boundary_triangles;
 use super::smoothing::{Acceptance, SmoothingRule, Target};
 use crate::context::RunContext;
 use crate::error::Result;
-use crate::geometry::tetrahedron::dihedral_cosines;
+use crate::geometry::tetrahedron::{dihedral_cosines, exceeds_angle};
 use crate::index::{TetId, VertexId};
 use crate::mesh::quality::SLIVER_DEGREES;
 use crate::mesh::tet_complex::TetComplex;
@@ -70,8 +70,8 @@ fn bad_tets(complex: &TetComplex, context: &RunContext, is_bad: impl Fn(TetId) -
 pub fn tets_above(complex: &TetComplex, context: &RunContext, degrees: f64) -> Vec<TetId> {
     let limit = degrees.to_radians().cos();
     bad_tets(complex, context, |tet| {
-        let cosine = dihedral_cosines(complex.points_of(tet)).1;
-        (cosine < limit).then_some(cosine)
+        let corners = complex.points_of(tet);
+        exceeds_angle(corners, limit).then(|| dihedral_cosines(corners).1)
     })
 }
 
@@ -183,7 +183,7 @@ fn improvement_pass(
         driver.collapse_small_edges(complex, sizes, options.small_edge_factor)?;
     }
     let masked = tets_above(complex, context, options.mask_angle);
-    let vertices = vertices_of(complex, &masked);
+    let mut vertices = vertices_of(complex, &masked);
     let rule = SmoothingRule {
         target: if options.smoothing_mode == 2 { Target::Centroids } else { Target::OptimalPlacement },
         coefficient: options.smoothing_coefficient,
@@ -191,7 +191,7 @@ fn improvement_pass(
     };
     let on_boundary = boundary_vertices(complex);
     for _ in 0..options.smoothing_iterations {
-        driver.smooth(complex, &vertices, &on_boundary, &rule, options.boundary_smoothing_factor)?;
+        vertices = driver.smooth(complex, vertices, &on_boundary, &rule, options.boundary_smoothing_factor)?;
     }
     // The grade that the masking angle has; small angles of the same grade count as well.
     let mask = BiasedSine::grade_of_angles(90.0, options.mask_angle);

@@ -30,6 +30,7 @@ use super::point_placement::{Candidate, Placement, create_candidates};
 use super::vertex_insertion::InsertionRule;
 use crate::context::RunContext;
 use crate::error::{Error, Result};
+use crate::geometry::spatial_sort::hilbert_order;
 use crate::geometry::tetrahedron::volume;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::size_field::{SizeField, average_edges};
@@ -261,6 +262,7 @@ fn refine_round(
     drop(candidates);
     round.filtered = accepted.len();
     rest_all_but(complex, active, accepted.iter().map(|a| a.origin));
+    let accepted = if options.sort_new_points { sorted_along_curve(accepted)? } else { accepted };
     let inserts = assign_vertices(complex, sizes, &accepted, unused)?;
     drop(accepted);
     let rule = InsertionRule {
@@ -301,6 +303,7 @@ fn refine_round(
 }
 
 /// A candidate that passed the first test.
+#[derive(Clone, Copy)]
 struct Accepted {
     point: DVec3,
     size: f64,
@@ -336,6 +339,13 @@ fn filter(
         }))
     };
     candidates.par_iter().with_min_len(256).filter_map(test).collect()
+}
+
+/// Accepted candidates along a Hilbert curve: neighbours in space become neighbours in memory and in the work.
+fn sorted_along_curve(accepted: Vec<Accepted>) -> Result<Vec<Accepted>> {
+    let points: Vec<DVec3> = accepted.iter().map(|a| a.point).collect();
+    let order = hilbert_order(&points)?;
+    Ok(order.into_iter().map(|i| accepted[i as usize]).collect())
 }
 
 /// Gives every accepted candidate a vertex: ones left over from earlier rounds first.

@@ -22,7 +22,7 @@ use glam::DVec3;
 use super::flip_criteria::AnyPositive;
 use super::flips::{Feature, Outcome, plan_insertion};
 use super::local_reconnection::Reconnector;
-use super::point_filter::{Walk, feature_of, is_clear, walk};
+use super::point_filter::{Walk, contains, feature_of, is_clear, walk};
 use crate::error::Result;
 use crate::index::{TetId, VertexId};
 use crate::mesh::tet_store::TetStore;
@@ -70,7 +70,8 @@ pub fn insert_vertex<S: TetStore + ?Sized>(
         // Too far, or the start is gone: not worth another attempt.
         Walk::Lost => return Ok(Insertion::Outside),
     };
-    if !store.try_claim(vertex) || !store.try_claim_tet(tet) {
+    // The walk read without claims: the slot may hold another tet by now, which does not contain the point.
+    if !store.try_claim(vertex) || !store.try_claim_tet(tet) || !contains(store, tet, point) {
         store.release_claims();
         return Ok(Insertion::ClaimLost);
     }

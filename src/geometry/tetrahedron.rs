@@ -85,6 +85,29 @@ pub fn dihedral_cosines(corners: Corners) -> (f64, f64) {
     if scale.iter().all(|s| s.is_finite()) { (largest, smallest) } else { (1.0, -1.0) }
 }
 
+/// Whether the largest dihedral angle is above the one with this cosine, or the tet is degenerate: as a comparison with
+/// [`dihedral_cosines`], but without roots and divisions where the cosine is negative.
+#[inline]
+pub fn exceeds_angle(corners: Corners, cosine: f64) -> bool {
+    if !(cosine < 0.0) {
+        return dihedral_cosines(corners).1 < cosine;
+    }
+    let normals = face_normals(corners);
+    let squares = [
+        normals[0].length_squared(),
+        normals[1].length_squared(),
+        normals[2].length_squared(),
+        normals[3].length_squared(),
+    ];
+    let limit = cosine * cosine;
+    let above = |k: usize, l: usize| {
+        let product = normals[k].dot(normals[l]);
+        product > 0.0 && product * product > limit * (squares[k] * squares[l])
+    };
+    let is_flat = !(squares[0].min(squares[1]).min(squares[2]).min(squares[3]) > 0.0);
+    is_flat || above(2, 3) | above(1, 3) | above(1, 2) | above(0, 3) | above(0, 2) | above(0, 1)
+}
+
 /// The solid angle at corner 0, steradian.
 pub fn solid_angle([a, b, c, d]: Corners) -> f64 {
     let (u, v, w) = (b - a, c - a, d - a);

@@ -45,21 +45,24 @@ pub struct ClaimedTets<'a> {
     held: Vec<VertexId>,
 }
 
-/// Shares `complex` between `threads` views while `job` runs, with room for `room` more tets than there are now.
+/// Shares `complex` between `threads` views while `job` runs, with room for `room` more tets than there are now. The
+/// table of claims is kept by the caller from pass to pass: all free before and after.
 ///
 /// # Errors
 /// `CapacityExceeded` or `OutOfMemory` for the room.
 pub fn with_claims<R>(
     complex: &mut TetComplex,
+    claims: &mut ClaimTable,
     threads: usize,
     room: usize,
     job: impl FnOnce(Vec<ClaimedTets<'_>>) -> R,
 ) -> Result<R> {
     let missing = room.saturating_sub(complex.free_slots.len());
     complex.add_free_slots(missing)?;
-    // Dealt from the front: the slots freed last, and neighbours together.
-    let pool = IdPool::new(complex.free_slots.iter().rev().map(|t| t.0).collect());
-    let claims = ClaimTable::new(complex.points.len());
+    // Dealt from the end: the slots freed last.
+    let pool = IdPool::new(bytemuck::cast_vec(std::mem::take(&mut complex.free_slots)));
+    claims.grow_to(complex.points.len());
+    let claims = &*claims;
     let points = SharedLongs::new(bytemuck::cast_slice_mut(&mut complex.points));
     let vertices = SharedWords::new(bytemuck::cast_slice_mut(&mut complex.tet_vertices));
     let neighbors = SharedWords::new(bytemuck::cast_slice_mut(&mut complex.tet_neighbors));
@@ -75,17 +78,14 @@ pub fn with_claims<R>(
             flags,
             labels,
             vertex_tet,
-            claims: &claims,
+            claims,
             ids: pool.allocator(),
             held: Vec::new(),
         })
         .collect();
     let result = job(views);
     debug_assert!(claims.is_all_free());
-    let mut free: Vec<TetId> = pool.into_free().into_iter().map(TetId).collect();
-    // Reused from the end: low slots first keeps the complex compact.
-    free.sort_unstable_by(|a, b| b.cmp(a));
-    complex.free_slots = free;
+    complex.free_slots = bytemuck::cast_vec(pool.into_free());
     Ok(result)
 }
 
@@ -295,7 +295,7 @@ mod tests {
         let rounds = if cfg!(miri) { 40 } else { 20_000 };
         let mut complex = cube(3);
         let before = complex.live_count();
-        let replaced: usize = with_claims(&mut complex, 4, 1000, |views| {
+        let replaced: usize = with_claims(&mut complex, &mut ClaimTable::default(), 4, 1000, |views| {
             std::thread::scope(|scope| {
                 let threads: Vec<_> = views
                     .into_iter()
@@ -326,7 +326,7 @@ mod tests {
     #[test]
     fn claims_exclude_the_other_view_until_released() {
         let mut complex = cube(1);
-        with_claims(&mut complex, 2, 10, |mut views| {
+        with_claims(&mut complex, &mut ClaimTable::default(), 2, 10, |mut views| {
             let mut second = views.pop().unwrap();
             let mut first = views.pop().unwrap();
             assert!(first.try_claim_tet(TetId(0)));

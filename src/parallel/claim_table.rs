@@ -39,6 +39,13 @@ impl ClaimTable {
         Self { words: (0..count).map(|_| AtomicU32::new(FREE)).collect() }
     }
 
+    /// Makes the table at least `count` things long; new ones are free. A table kept from pass to pass costs only this.
+    pub fn grow_to(&mut self, count: usize) {
+        if self.words.len() < count {
+            self.words.resize_with(count, || AtomicU32::new(FREE));
+        }
+    }
+
     /// Number of things.
     pub fn len(&self) -> usize {
         self.words.len()

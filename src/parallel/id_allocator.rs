@@ -5,7 +5,7 @@
 //! how much of it was dealt. A thread takes the next block by advancing the cursor, and uses, frees and reuses ids in a
 //! list of its own; when it ends it hands that list back under a lock.
 //! - *No id is dealt twice*: the cursor only grows, by one atomic addition per block.
-//! - *No id is lost*: what is left is the list behind the cursor and the lists handed back.
+//! - *No id is lost*: what is left is the list before the cursor, which counts from the end, and the lists handed back.
 //! - *Reuse*: an id freed by a thread is reused by that thread only, in the same pass. A thread that remembers a freed
 //!   id has to look again at what the slot holds after claiming it: no generation stamp is needed where the content
 //!   identifies it (the four vertices of a tet, all claimed).
@@ -26,7 +26,7 @@ pub struct IdPool {
 }
 
 impl IdPool {
-    /// A pool of these ids, dealt from the front.
+    /// A pool of these ids, dealt from the end in blocks, each from its end.
     pub fn new(ids: Vec<u32>) -> Self {
         Self { ids, next: AtomicUsize::new(0), returned: Mutex::default() }
     }
@@ -38,15 +38,17 @@ impl IdPool {
 
     fn take_block(&self) -> &[u32] {
         // Relaxed: the list itself was complete before the threads started; only the sum has to be exact.
-        let first = self.next.fetch_add(BLOCK, Ordering::Relaxed).min(self.ids.len());
-        &self.ids[first..(first + BLOCK).min(self.ids.len())]
+        let dealt = self.next.fetch_add(BLOCK, Ordering::Relaxed).min(self.ids.len());
+        let end = self.ids.len() - dealt;
+        &self.ids[end.saturating_sub(BLOCK)..end]
     }
 
     /// All ids that are free after the pass, when every allocator is gone.
     pub fn into_free(self) -> Vec<u32> {
         let dealt = self.next.into_inner().min(self.ids.len());
-        let mut free = self.returned.into_inner().unwrap_or_else(PoisonError::into_inner);
-        free.extend_from_slice(&self.ids[dealt..]);
+        let mut free = self.ids;
+        free.truncate(free.len() - dealt);
+        free.append(&mut self.returned.into_inner().unwrap_or_else(PoisonError::into_inner));
         free
     }
 }
@@ -67,7 +69,7 @@ impl IdAllocator<'_> {
             if block.is_empty() {
                 return false;
             }
-            self.free.extend(block.iter().rev());
+            self.free.extend_from_slice(block);
         }
         true
     }
@@ -134,7 +136,7 @@ mod tests {
         let pool = IdPool::new(vec![4, 5]);
         let mut ids = pool.allocator();
         assert!(ids.has_room(2) && !ids.has_room(3));
-        assert_eq!((ids.take(), ids.take(), ids.take()), (Some(4), Some(5), None));
+        assert_eq!((ids.take(), ids.take(), ids.take()), (Some(5), Some(4), None));
         drop(ids);
         assert!(pool.into_free().is_empty());
     }
