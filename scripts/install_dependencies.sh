@@ -2,7 +2,7 @@
 # Installs from the distribution what the demo (usage: install_dependencies.sh demo) or the tests (without an argument) need and
 # this machine lacks. Rust itself is expected.
 set -euo pipefail
-packages=(gcc libc6-dev mricron-data python3-venv)
+packages=(gcc libc6-dev mricron-data python3 python3-venv)
 if [ "${1:-test}" != demo ]; then
     packages+=(build-essential cmake pkg-config clang valgrind abigail-tools libvtk9-dev libcgal-dev libtet1.5-dev tetgen
         openfoam xvfb xauth)

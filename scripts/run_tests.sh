@@ -58,6 +58,7 @@ read_ctest() {
 step format cargo fmt --check
 step clippy cargo clippy --locked --all-targets --quiet -- -D warnings
 counted rust read_cargo cargo test --locked --no-fail-fast
+step licences python3 scripts/third_party.py --check THIRD_PARTY.md
 step rustdoc env RUSTDOCFLAGS="-D warnings" cargo doc --locked --no-deps --lib --quiet
 
 step configure cmake -S . -B "$build" -DCMAKE_BUILD_TYPE=Release -DMESHWRIGHT_CARGO_TARGET_DIR="$CARGO_TARGET_DIR"

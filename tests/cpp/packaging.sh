@@ -41,7 +41,8 @@ consumer() { # NAME, then options of the consumer project
 
 "$cmake" --install "$build_dir" --prefix "$work/installed" > "$work/install.log"
 for file in include/meshwright.h include/meshwright.hpp lib*/libmeshwright.so lib*/libmeshwright.so.$abi \
-    lib*/libmeshwright.so.$version lib*/libmeshwright.a bin/meshwright share/doc/*/LICENSE-MIT; do
+    lib*/libmeshwright.so.$version lib*/libmeshwright.a bin/meshwright \
+    share/doc/*/LICENSE-MIT share/doc/*/LICENSE-APACHE share/doc/*/THIRD_PARTY.md; do
     compgen -G "$work/installed/$file" > /dev/null || compgen -G "$work/installed/${file/lib\*/lib\*\/\*}" > /dev/null ||
         fail "$file is not installed"
 done
