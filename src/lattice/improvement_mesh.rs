@@ -15,8 +15,8 @@ use glam::DVec3;
 use crate::index::{Label, VertexId};
 use crate::lattice::boundary_targets::{SourcePoints, outside_of};
 use crate::lattice::candidate_mesh::CandidateMesh;
+use crate::lattice::element_score::{Ball, tet_score};
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
-use crate::lattice::untangling::tet_score;
 use crate::mesh::numbering::TET_FACES;
 
 /// A dead slot.
@@ -38,6 +38,7 @@ pub struct ImprovementMesh<'a> {
     side_set: Vec<u32>,
     sets: Vec<Vec<Side>>,
     free: Vec<u32>,
+    scratch: Ball,
 }
 
 /// A face of the ball of a vertex that separates two sides: the other two vertices.
@@ -76,6 +77,7 @@ impl<'a> ImprovementMesh<'a> {
             balls,
             sets: vec![Vec::new()],
             free: Vec::new(),
+            scratch: Ball::default(),
         };
         for (at, v) in sources.vertices.iter().enumerate() {
             result.side_set[v.index()] = result.intern(sources.sides(at).to_vec());
@@ -156,31 +158,13 @@ impl<'a> ImprovementMesh<'a> {
         tets.iter().map(|t| self.score(*t)).fold(f64::INFINITY, f64::min)
     }
 
-    /// Lowest score of the ball of `v` with `v` at another place; stops early below `enough`.
-    pub fn lowest_with(&self, v: u32, place: DVec3, enough: f64) -> f64 {
-        let mut lowest = f64::INFINITY;
-        for &t in self.ball(v) {
-            let tet = self.tets[t as usize];
-            lowest = lowest.min(tet_score(tet.map(|w| if w == v { place } else { self.points[w as usize] })));
-            if lowest < enough {
-                return lowest;
-            }
-        }
-        lowest
-    }
-
-    /// Mean length of the edges at a vertex.
-    pub fn edge_length(&self, v: u32) -> f64 {
-        let (mut sum, mut count) = (0.0, 0);
-        for &t in self.ball(v) {
-            for w in self.tets[t as usize] {
-                if w != v {
-                    sum += self.points[w as usize].distance(self.points[v as usize]);
-                    count += 1;
-                }
-            }
-        }
-        if count > 0 { sum / f64::from(count) } else { 0.0 }
+    /// Fills `ball` with the tets of a vertex.
+    pub fn gather(&self, v: u32, ball: &mut Ball) {
+        ball.fill(self.ball(v).iter().map(|t| {
+            let tet = self.tets[*t as usize];
+            let own = tet.iter().position(|w| *w == v).unwrap_or(0);
+            TET_FACES[own].map(|c| self.points[tet[c] as usize])
+        }));
     }
 
     /// The tet on the other side of the face of `t` opposite to its corner `face`.
@@ -203,13 +187,17 @@ impl<'a> ImprovementMesh<'a> {
     /// Faces at a vertex that separate two sides.
     pub fn surface_faces(&self, v: u32) -> Vec<SurfaceFace> {
         // (smaller, larger, tet, face) of every face at v; equal pairs are the two tets of a face.
-        let mut entries: Vec<(u32, u32, u32, [u32; 2])> = Vec::with_capacity(3 * self.ball(v).len());
+        let mut entries: Vec<(u32, u32, u32, [u32; 2])> = Vec::with_capacity(self.ball(v).len());
         for &t in self.ball(v) {
             let tet = self.tets[t as usize];
             for face in TET_FACES {
                 let corners = face.map(|c| tet[c]);
                 if let Some(at) = corners.iter().position(|c| *c == v) {
                     let others = [corners[(at + 1) % 3], corners[(at + 2) % 3]];
+                    // A face between two sides has all its vertices on the surface.
+                    if !(self.is_on_surface(others[0]) && self.is_on_surface(others[1])) {
+                        continue;
+                    }
                     entries.push((others[0].min(others[1]), others[0].max(others[1]), t, others));
                 }
             }
@@ -286,6 +274,15 @@ impl<'a> ImprovementMesh<'a> {
             slots.push(slot);
         }
         slots
+    }
+
+    /// Works on a vertex with its ball gathered into the mesh's own buffer.
+    pub fn with_ball<T>(&mut self, v: u32, work: impl FnOnce(&mut Self, &mut Ball) -> T) -> T {
+        let mut ball = std::mem::take(&mut self.scratch);
+        self.gather(v, &mut ball);
+        let result = work(self, &mut ball);
+        self.scratch = ball;
+        result
     }
 
     /// Rows and labels of a group of tets.

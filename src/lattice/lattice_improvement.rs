@@ -25,10 +25,11 @@ use crate::geometry::tetrahedron::volume6;
 use crate::image::label_image::LabelImage;
 use crate::lattice::boundary_targets::SourcePoints;
 use crate::lattice::candidate_mesh::CandidateMesh;
+use crate::lattice::element_score::{Ball, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::local_transformations::{TransformationCounts, transform};
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
-use crate::lattice::vertex_optimization::{optimize_vertex, relax_inside, relax_on_surface};
+use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
 
 /// Score that relaxation may spend in each round, degrees. The first rounds bring vertices onto their surface although tets
 /// become flat: transformations take those away. A high bound from the start (19 in all rounds) left vertices off their
@@ -134,12 +135,16 @@ pub fn improve(
 
 /// One sweep over all vertices on and near surfaces.
 fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunContext) -> Result<()> {
+    let bound = Threshold::of(bound);
+    let mut ball = Ball::default();
     for v in 0..work.points.len() as u32 {
         if v % 4096 == 0 {
             context.check()?;
         }
         if work.is_on_surface(v) && !work.ball(v).is_empty() {
-            relax_on_surface(work, v, bound);
+            if let Some(place) = plan_relaxation(work, v, &bound, &mut ball) {
+                work.points[v as usize] = place;
+            }
         }
     }
     let mut low: Vec<u32> = low_tets(work, wanted).into_iter().flat_map(|(_, t)| work.tets[t as usize]).collect();

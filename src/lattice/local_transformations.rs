@@ -25,9 +25,9 @@
 //! The mesh conforms after each call; the lowest score of the tets that were replaced has risen by `LEAST_GAIN` at least.
 
 use crate::index::Label;
+use crate::lattice::element_score::tet_score;
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::subvoxel_surface::Side;
-use crate::lattice::untangling::tet_score;
 use crate::lattice::vertex_optimization::optimize_vertex;
 use crate::mesh::numbering::{TET_EDGES, TET_FACES};
 

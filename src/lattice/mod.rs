@@ -21,6 +21,7 @@ pub mod boundary_targets;
 pub mod candidate_mesh;
 pub mod duplicated_interfaces;
 pub mod element_labels;
+pub mod element_score;
 pub mod evaluation;
 pub mod face_adjacency;
 pub mod finishing;

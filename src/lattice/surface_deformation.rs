@@ -31,9 +31,10 @@ use crate::fem::material::{Material, MaterialMap};
 use crate::image::label_image::LabelImage;
 use crate::lattice::boundary_targets::{SourcePoints, TargetPoints};
 use crate::lattice::candidate_mesh::CandidateMesh;
+use crate::lattice::element_score::tet_score;
 use crate::lattice::options::Options;
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
-use crate::lattice::untangling::{GuardedMove, move_guarded, tet_score};
+use crate::lattice::untangling::{GuardedMove, move_guarded};
 use crate::sparse::conjugate_gradient::StoppingRule;
 use crate::sparse::solver::{PreparedSolver, SolverKind};
 

@@ -17,32 +17,12 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::geometry::tetrahedron::{dihedral_cosines, volume6};
 use crate::index::VertexId;
+use crate::lattice::element_score::tet_score;
 use crate::sparse::pattern::Incidence;
 
 /// Rounds that halve before a vertex is put back.
 const HALVINGS: u32 = 3;
-
-/// The largest angle counts this much less than the smallest: 15 and 155 degrees score alike.
-const LARGE_ANGLE_WEIGHT: f64 = 0.6;
-
-/// Score of a tet in degrees: the smallest dihedral angle, or 0.6 times what the largest lacks to 180 where that is less; zero
-/// or negative when flat or inverted.
-#[inline]
-pub fn tet_score(corners: [DVec3; 4]) -> f64 {
-    let volume = volume6(corners);
-    let [a, b, c, d] = corners;
-    let size = (b - a).length_squared().max((c - a).length_squared()).max((d - a).length_squared());
-    if !(volume > 1e-9 * size * size.sqrt()) {
-        // Inverted tets rank by how far they are inverted.
-        return if size > 0.0 { (volume / (size * size.sqrt())).clamp(-1.0, 0.0) * 10.0 - 1e-3 } else { -10.0 };
-    }
-    let (smallest, largest) = dihedral_cosines(corners);
-    let low = smallest.clamp(-1.0, 1.0).acos().to_degrees();
-    let high = largest.clamp(-1.0, 1.0).acos().to_degrees();
-    low.min(LARGE_ANGLE_WEIGHT * (180.0 - high))
-}
 
 /// Outcome of a guarded move.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -97,20 +77,6 @@ pub fn move_guarded(
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_regular_tet_scores_by_its_angle_and_an_inverted_one_below_zero() {
-        let regular = [
-            DVec3::new(1.0, 1.0, 1.0),
-            DVec3::new(-1.0, 1.0, -1.0),
-            DVec3::new(1.0, -1.0, -1.0),
-            DVec3::new(-1.0, -1.0, 1.0),
-        ];
-        let score = tet_score(regular).max(tet_score([regular[0], regular[2], regular[1], regular[3]]));
-        let lowest = (180.0 - (1.0f64 / 3.0).acos().to_degrees()) * 0.6;
-        assert!((score - lowest.min((1.0f64 / 3.0).acos().to_degrees())).abs() < 1e-9, "{score}");
-        assert!(tet_score(regular).min(tet_score([regular[0], regular[2], regular[1], regular[3]])) < 0.0);
-    }
 
     #[test]
     fn a_move_that_inverts_is_damped_and_the_rest_keeps_its_move() {

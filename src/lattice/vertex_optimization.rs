@@ -16,6 +16,7 @@
 
 use glam::DVec3;
 
+use crate::lattice::element_score::{Ball, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 
 /// Directions of the search: axes and diagonals of a cube.
@@ -46,41 +47,44 @@ const HALVINGS: usize = 5;
 /// Part of the way to the neighbours' mean that a relaxation goes.
 const RELAXATION: f64 = 0.7;
 
-/// Moves a surface vertex along its surface and onto it; `bound` is the score that may be spent. Returns whether it moved.
-pub fn relax_on_surface(mesh: &mut ImprovementMesh, v: u32, bound: f64) -> bool {
+/// Plans the move of a surface vertex along its surface and onto it; `bound` is the score that may be spent. `None` where it
+/// stays. `ball` is a scratch buffer.
+pub fn plan_relaxation(mesh: &ImprovementMesh, v: u32, bound: &Threshold, ball: &mut Ball) -> Option<DVec3> {
     if mesh.fixed[v as usize] {
-        return false;
+        return None;
     }
+    mesh.gather(v, ball);
     let place = mesh.points[v as usize];
+    let reach = ball.edge_length(place);
+    let wanted = place + (mean_on_surface(mesh, v).unwrap_or(place) - place) * RELAXATION;
+    let goal = mesh.surface.project(wanted, mesh.sides(v), reach)?;
+    if goal.distance_squared(place) < 1e-6 * reach * reach {
+        return None;
+    }
+    // Most moves stay above the bound: only where one does not, the present score is asked for.
+    if ball.score_above(goal, bound).is_some() {
+        return Some(goal);
+    }
+    let before = ball.score(place);
+    if ball.score_above(place, bound).is_some() {
+        // The score may fall to the bound, no lower.
+        return steps(place, goal, &[0.5, 0.25]).find(|trial| ball.score_above(*trial, bound).is_some());
+    }
+    let needed = Threshold::of(before);
+    steps(place, goal, &[1.0, 0.5, 0.25]).find(|trial| ball.score_above(*trial, &needed).is_some())
+}
+
+fn steps(place: DVec3, goal: DVec3, fractions: &[f64]) -> impl Iterator<Item = DVec3> {
+    fractions.iter().map(move |fraction| place + (goal - place) * *fraction)
+}
+
+/// Mean of the neighbours on the surface that separate at least the same sides; `None` below two.
+fn mean_on_surface(mesh: &ImprovementMesh, v: u32) -> Option<DVec3> {
     let mut near: Vec<u32> = mesh.surface_faces(v).iter().flat_map(|f| f.others).collect();
     near.sort_unstable();
     near.dedup();
     near.retain(|w| mesh.sides_within(v, *w));
-    let reach = mesh.edge_length(v);
-    let mean = if near.len() >= 2 {
-        near.iter().map(|w| mesh.points[*w as usize]).sum::<DVec3>() / near.len() as f64
-    } else {
-        place
-    };
-    let wanted = place + (mean - place) * RELAXATION;
-    let Some(goal) = mesh.surface.project(wanted, mesh.sides(v), reach) else { return false };
-    if goal.distance_squared(place) < 1e-6 * reach * reach {
-        return false;
-    }
-    // Most moves stay above the bound: only where one does not, the present score is asked for.
-    if mesh.lowest_with(v, goal, bound) >= bound {
-        mesh.points[v as usize] = goal;
-        return true;
-    }
-    let needed = mesh.lowest_with(v, place, f64::NEG_INFINITY).min(bound);
-    for fraction in [1.0, 0.5, 0.25] {
-        let trial = place + (goal - place) * fraction;
-        if mesh.lowest_with(v, trial, needed) >= needed {
-            mesh.points[v as usize] = trial;
-            return true;
-        }
-    }
-    false
+    (near.len() >= 2).then(|| near.iter().map(|w| mesh.points[*w as usize]).sum::<DVec3>() / near.len() as f64)
 }
 
 /// Moves an interior vertex towards the mean of its neighbours where that does not lower the lowest score.
@@ -88,82 +92,75 @@ pub fn relax_inside(mesh: &mut ImprovementMesh, v: u32, bound: f64) -> bool {
     if mesh.fixed[v as usize] || mesh.is_on_surface(v) {
         return false;
     }
-    let place = mesh.points[v as usize];
-    let before = mesh.lowest_with(v, place, f64::NEG_INFINITY);
-    if before >= bound {
-        return false;
-    }
-    let mut sum = DVec3::ZERO;
-    let mut count = 0;
-    for &t in mesh.ball(v) {
-        for w in mesh.tets[t as usize] {
-            if w != v {
-                sum += mesh.points[w as usize];
-                count += 1;
-            }
+    mesh.with_ball(v, |mesh, ball| {
+        let place = mesh.points[v as usize];
+        let before = ball.score(place);
+        if before >= bound {
+            return false;
         }
-    }
-    let mean = sum / f64::from(count.max(1));
-    for fraction in [0.8, 0.4, 0.2] {
-        let trial = place + (mean - place) * fraction;
-        if mesh.lowest_with(v, trial, before) > before {
-            mesh.points[v as usize] = trial;
-            return true;
-        }
-    }
-    false
+        let mean = ball.center().unwrap_or(place);
+        let needed = Threshold::of(before);
+        let found = steps(place, mean, &[0.8, 0.4, 0.2])
+            .find(|trial| ball.score_above(*trial, &needed).is_some_and(|score| score > before));
+        found.inspect(|trial| mesh.points[v as usize] = *trial).is_some()
+    })
 }
 
 /// Searches a better place for a vertex; `slack` (mm) is how far a surface vertex may stay off its surface. Returns the
 /// lowest score of its ball.
 pub fn optimize_vertex(mesh: &mut ImprovementMesh, v: u32, wanted: f64, slack: f64) -> f64 {
-    let mut best = mesh.lowest_with(v, mesh.points[v as usize], f64::NEG_INFINITY);
+    mesh.with_ball(v, |mesh, ball| search_place(mesh, v, wanted, slack, ball))
+}
+
+fn search_place(mesh: &mut ImprovementMesh, v: u32, wanted: f64, slack: f64, ball: &mut Ball) -> f64 {
+    let mut place = mesh.points[v as usize];
+    let mut best = ball.score(place);
     if mesh.fixed[v as usize] || best >= wanted {
         return best;
     }
     let on_surface = mesh.is_on_surface(v);
-    let mut step = FIRST_STEP * mesh.edge_length(v);
+    let mut needed = Threshold::of(best);
+    let mut step = FIRST_STEP * ball.edge_length(place);
     let mut halvings = 0;
     let mut rounds = 0;
     while halvings < HALVINGS && best < wanted && rounds < 4 * HALVINGS {
         rounds += 1;
-        let place = mesh.points[v as usize];
         let mut found = None;
         for direction in DIRECTIONS {
             let trial = place + direction * step;
-            let score = mesh.lowest_with(v, trial, best);
-            if score <= best {
-                continue;
-            }
-            if on_surface {
+            let Some(score) = ball.score_above(trial, &needed) else { continue };
+            let better = if on_surface {
                 // Only now the price of a projection: most directions fail already.
-                let Some((projected, score)) = on_surface_trial(mesh, v, trial, step, slack, best) else { continue };
-                best = score;
-                found = Some(projected);
+                on_surface_trial(mesh, v, trial, step, slack, &needed, ball)
             } else {
-                best = score;
-                found = Some(trial);
+                Some((trial, score))
+            };
+            if let Some((trial, score)) = better.filter(|(_, score)| *score > best) {
+                (found, best) = (Some(trial), score);
+                needed = Threshold::of(best);
             }
         }
         match found {
-            Some(trial) => mesh.points[v as usize] = trial,
+            Some(trial) => place = trial,
             None => {
                 step /= 2.0;
                 halvings += 1;
             }
         }
     }
+    mesh.points[v as usize] = place;
     best
 }
 
-/// The trial brought to within `slack` of the surface, when it still scores above `best`.
+/// The trial brought to within `slack` of the surface, when it still scores above what is needed.
 fn on_surface_trial(
     mesh: &ImprovementMesh,
     v: u32,
     trial: DVec3,
     step: f64,
     slack: f64,
-    best: f64,
+    needed: &Threshold,
+    ball: &mut Ball,
 ) -> Option<(DVec3, f64)> {
     let exact = mesh.surface.project(trial, mesh.sides(v), 4.0 * step + 4.0 * slack)?;
     let offset = trial - exact;
@@ -171,8 +168,7 @@ fn on_surface_trial(
         mesh.sides(v).iter().any(|s| matches!(s, crate::lattice::subvoxel_surface::Side::Border(_)));
     for part in [0.0, 1.0] {
         let place = exact + offset.clamp_length_max(slack * part);
-        let score = mesh.lowest_with(v, place, best);
-        if score > best {
+        if let Some(score) = ball.score_above(place, needed) {
             return Some((place, score));
         }
         if is_bound_to_plane {
