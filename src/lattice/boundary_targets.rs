@@ -101,12 +101,10 @@ impl SourcePoints {
         &self.sides[self.offsets[position] as usize..self.offsets[position + 1] as usize]
     }
 
-    /// Sides of a vertex; empty inside of a label.
-    pub fn sides_of(&self, vertex: VertexId) -> &[Side] {
-        match self.position[vertex.index()] {
-            u32::MAX => &[],
-            at => self.sides(at as usize),
-        }
+    /// Position of a vertex among the source points; `None` inside of a label.
+    pub fn position_of(&self, vertex: VertexId) -> Option<usize> {
+        let at = self.position[vertex.index()];
+        (at != u32::MAX).then_some(at as usize)
     }
 }
 

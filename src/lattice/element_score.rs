@@ -116,17 +116,34 @@ fn worst_of(normals: [DVec3; 4], scale: [f64; 4]) -> Worst {
     Worst { acute, obtuse, inverted: 0.0 }
 }
 
+#[inline]
+fn worst_of_tet(corners: [DVec3; 4]) -> Worst {
+    let volume = volume6(corners);
+    let normals = face_normals(corners);
+    let scale = scales_of(&normals);
+    if !(volume > 0.0) || !scale.iter().all(|s| s.is_finite()) {
+        return Worst { inverted: inversion_of(volume, corners), ..Worst::NONE };
+    }
+    worst_of(normals, scale)
+}
+
+#[inline]
+fn scales_of(normals: &[DVec3; 4]) -> [f64; 4] {
+    let of = |n: DVec3| n.length_squared().sqrt().recip();
+    [of(normals[0]), of(normals[1]), of(normals[2]), of(normals[3])]
+}
+
 /// Score of a tet in degrees: the smallest dihedral angle, or 0.6 times what the largest lacks to 180 where that is less; zero
 /// or negative when flat or inverted.
 #[inline]
 pub fn tet_score(corners: [DVec3; 4]) -> f64 {
-    let volume = volume6(corners);
-    let normals = face_normals(corners);
-    let scale = normals.map(|n| n.length_squared().sqrt().recip());
-    if !(volume > 0.0) || !scale.iter().all(|s| s.is_finite()) {
-        return inversion_of(volume, corners);
-    }
-    worst_of(normals, scale).score()
+    worst_of_tet(corners).score()
+}
+
+/// Whether the score of a tet is below a threshold; cheaper than the score.
+#[inline]
+pub fn tet_fails(corners: [DVec3; 4], threshold: &Threshold) -> bool {
+    threshold.is_failed_by(&worst_of_tet(corners))
 }
 
 /// The face of a tet that stays when the opposite vertex moves.
@@ -142,7 +159,7 @@ struct Opposite {
 impl Opposite {
     #[inline]
     fn worst_with(&self, place: DVec3) -> Worst {
-        let [a, b, c] = self.corners.map(|p| p - place);
+        let [a, b, c] = [self.corners[0] - place, self.corners[1] - place, self.corners[2] - place];
         let volume = self.normal.dot(a);
         // Outward normals of the faces opposite to the three corners.
         let normals = [self.normal, c.cross(b), a.cross(c), b.cross(a)];

@@ -25,7 +25,7 @@ use crate::geometry::tetrahedron::volume6;
 use crate::image::label_image::LabelImage;
 use crate::lattice::boundary_targets::SourcePoints;
 use crate::lattice::candidate_mesh::CandidateMesh;
-use crate::lattice::element_score::{Ball, Threshold};
+use crate::lattice::element_score::{Ball, Threshold, tet_fails};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::local_transformations::{TransformationCounts, transform};
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
@@ -50,6 +50,16 @@ const YIELDING_ROUNDS: usize = 2;
 enum Surfaces {
     Stay,
     MayYield,
+}
+
+/// What the work on low tets aims at and may spend.
+#[derive(Debug, Clone, Copy)]
+struct Effort {
+    /// Score that is wanted, degrees.
+    wanted: f64,
+    surfaces: Surfaces,
+    /// How far a surface vertex may stay off its surface, mm.
+    slack: f64,
 }
 
 /// Score that optimisation wants: the aim of 15 to 155 degrees, and a little more.
@@ -114,8 +124,9 @@ pub fn improve(
     for round in 0..ROUNDS {
         let may_transform = options.transformations == Transformations::Local && round >= FIRST_TRANSFORMING_ROUND;
         let surfaces = if round + YIELDING_ROUNDS >= ROUNDS { Surfaces::MayYield } else { Surfaces::Stay };
-        relax_all(&mut work, RELAXATION_BOUNDS[round], wanted, context)?;
-        raise_low_tets(&mut work, wanted, may_transform.then_some(&mut summary.counts), surfaces, slack, context)?;
+        let low = relax_all(&mut work, RELAXATION_BOUNDS[round], wanted, context)?;
+        let effort = Effort { wanted, surfaces, slack };
+        raise_low_tets(&mut work, low, &effort, may_transform.then_some(&mut summary.counts), context)?;
         if round + 1 < ROUNDS {
             update_offsets(&mut work, &wanted_volumes, image);
         }
@@ -133,66 +144,79 @@ pub fn improve(
     Ok(summary)
 }
 
-/// One sweep over all vertices on and near surfaces.
-fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunContext) -> Result<()> {
+/// One sweep over the surface vertices, then the vertices inside that low tets have. Returns the low tets, worst first.
+fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunContext) -> Result<Vec<(f64, u32)>> {
     let bound = Threshold::of(bound);
     let mut ball = Ball::default();
     for v in 0..work.points.len() as u32 {
         if v % 4096 == 0 {
             context.check()?;
         }
-        if work.is_on_surface(v) && !work.ball(v).is_empty() {
-            if let Some(place) = plan_relaxation(work, v, &bound, &mut ball) {
-                work.points[v as usize] = place;
-            }
+        if work.is_on_surface(v)
+            && !work.ball(v).is_empty()
+            && let Some(place) = plan_relaxation(work, v, &bound, &mut ball)
+        {
+            work.points[v as usize] = place;
         }
     }
-    let mut low: Vec<u32> = low_tets(work, wanted).into_iter().flat_map(|(_, t)| work.tets[t as usize]).collect();
+    let mut candidates: Vec<u32> = low_tets(work, wanted).into_iter().map(|(_, t)| t).collect();
+    let mut low: Vec<u32> = candidates.iter().flat_map(|t| work.tets[*t as usize]).collect();
     low.sort_unstable();
     low.dedup();
     for v in low {
-        relax_inside(work, v, wanted);
+        if relax_inside(work, v, wanted) {
+            candidates.extend(work.ball(v));
+        }
     }
-    Ok(())
+    candidates.sort_unstable();
+    candidates.dedup();
+    Ok(low_among(work, candidates.into_par_iter(), wanted))
 }
 
 /// Tets below the wanted score, worst first.
 fn low_tets(mesh: &ImprovementMesh, wanted: f64) -> Vec<(f64, u32)> {
-    let mut low: Vec<(f64, u32)> = (0..mesh.tets.len() as u32)
-        .into_par_iter()
+    low_among(mesh, (0..mesh.tets.len() as u32).into_par_iter(), wanted)
+}
+
+fn low_among(
+    mesh: &ImprovementMesh,
+    candidates: impl IndexedParallelIterator<Item = u32>,
+    wanted: f64,
+) -> Vec<(f64, u32)> {
+    let threshold = Threshold::of(wanted);
+    let mut low: Vec<(f64, u32)> = candidates
         .with_min_len(1024)
-        .filter(|t| mesh.is_live(*t))
+        .filter(|t| mesh.is_live(*t) && tet_fails(mesh.corners(*t), &threshold))
         .map(|t| (mesh.score(t), t))
-        .filter(|(score, _)| *score < wanted)
         .collect();
     low.sort_unstable_by(|l, r| l.0.total_cmp(&r.0).then(l.1.cmp(&r.1)));
     low
 }
 
+/// Goes through tets of low score in the given order.
 fn raise_low_tets(
     mesh: &mut ImprovementMesh,
-    wanted: f64,
+    low: Vec<(f64, u32)>,
+    effort: &Effort,
     mut counts: Option<&mut TransformationCounts>,
-    surfaces: Surfaces,
-    slack: f64,
     context: &RunContext,
 ) -> Result<()> {
-    for (at, (_, t)) in low_tets(mesh, wanted).into_iter().enumerate() {
+    for (at, (_, t)) in low.into_iter().enumerate() {
         if at % 256 == 0 {
             context.check()?;
         }
-        if !mesh.is_live(t) || mesh.score(t) >= wanted {
+        if !mesh.is_live(t) || mesh.score(t) >= effort.wanted {
             continue;
         }
         for v in mesh.tets[t as usize] {
-            if surfaces == Surfaces::MayYield || !mesh.is_on_surface(v) {
-                optimize_vertex(mesh, v, wanted, slack);
+            if effort.surfaces == Surfaces::MayYield || !mesh.is_on_surface(v) {
+                optimize_vertex(mesh, v, effort.wanted, effort.slack);
             }
         }
         if let Some(counts) = counts.as_deref_mut()
-            && mesh.score(t) < wanted
+            && mesh.score(t) < effort.wanted
         {
-            transform(mesh, t, slack, counts);
+            transform(mesh, t, effort.slack, counts);
         }
     }
     Ok(())

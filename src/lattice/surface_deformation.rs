@@ -14,7 +14,8 @@
 //! [Drakopoulos2017] 2.3.5 eq. 1 and 2.
 //!
 //! # Differences
-//! Sub-voxel surfaces instead of voxel centres; local damping instead of an end for the whole mesh.
+//! Sub-voxel surfaces instead of voxel centres; local damping instead of an end for the whole mesh. K is that of the mesh
+//! before the first iteration: all moves together stay below an edge, and the lattice has the better shapes.
 //!
 //! # Invariants
 //! No element gets worse than before and below the bound at once. Same bits for any number of threads.
@@ -29,12 +30,14 @@ use crate::fem::element_mesh::TetTopology;
 use crate::fem::element_stiffness::Formulation;
 use crate::fem::material::{Material, MaterialMap};
 use crate::image::label_image::LabelImage;
+use crate::index::VertexId;
 use crate::lattice::boundary_targets::{SourcePoints, TargetPoints};
 use crate::lattice::candidate_mesh::CandidateMesh;
-use crate::lattice::element_score::tet_score;
+use crate::lattice::element_score::{Threshold, tet_fails, tet_score};
 use crate::lattice::options::Options;
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
 use crate::lattice::untangling::{GuardedMove, move_guarded};
+use crate::sparse::block_csr::BlockCsr;
 use crate::sparse::conjugate_gradient::StoppingRule;
 use crate::sparse::solver::{PreparedSolver, SolverKind};
 
@@ -92,39 +95,16 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
     let model = ModelPattern::new(&topology.view(&mesh.points, &mesh.tets, &labels), context)?;
     let mut held = vec![false; mesh.points.len()];
     mesh.fixed.iter().for_each(|v| held[v.index()] = true);
+    let view = topology.view(&mesh.points, &mesh.tets, &labels);
+    let mut matrix = assemble_stiffness(&view, &model, &materials, Formulation::Standard, context)?;
+    for vertex in &mesh.fixed {
+        matrix.add(vertex.index(), vertex.index(), DMat3::from_diagonal(DVec3::splat(HELD)));
+    }
+    let diagonals: Vec<DMat3> = input.sources.vertices.iter().map(|v| matrix.diagonal(v.index())).collect();
+    let body = Body { model: &model, diagonals, held, near: tets_at_sources(mesh, input.sources) };
     for _ in 0..input.options.smoothing_iterations {
         context.check()?;
-        let edges = mean_edge_lengths(mesh);
-        let wanted = source_displacements(mesh, input, &edges);
-        let view = topology.view(&mesh.points, &mesh.tets, &labels);
-        let stiffness = assemble_stiffness(&view, &model, &materials, Formulation::Standard, context)?;
-        let mut confidence: Vec<f64> = wanted.iter().map(|w| f64::from(u8::from(w.is_some()))).collect();
-        let mut displacements = vec![DVec3::ZERO; mesh.points.len()];
-        for attempt in 0..=input.options.max_confidence_iterations {
-            let mut matrix = stiffness.clone();
-            let mut right = vec![DVec3::ZERO; mesh.points.len()];
-            for (at, vertex) in input.sources.vertices.iter().enumerate() {
-                let pull = input.options.flexibility * confidence[at];
-                matrix.add(vertex.index(), vertex.index(), DMat3::from_diagonal(DVec3::splat(pull)));
-                right[vertex.index()] = wanted[at].unwrap_or(DVec3::ZERO) * pull;
-            }
-            for vertex in &mesh.fixed {
-                matrix.add(vertex.index(), vertex.index(), DMat3::from_diagonal(DVec3::splat(HELD)));
-                right[vertex.index()] = DVec3::ZERO;
-            }
-            let rule = StoppingRule { relative_tolerance: RELATIVE_TOLERANCE, max_iterations: MAX_SOLVER_ITERATIONS };
-            let solver = PreparedSolver::new(&matrix, SolverKind::BlockJacobiCg, context);
-            summary.solver_iterations += solver.solve(&right, &mut displacements, &rule, context)?.iterations;
-            if attempt == input.options.max_confidence_iterations {
-                break;
-            }
-            if !scale_confidence(mesh, input, &model, &displacements, &mut confidence) {
-                break;
-            }
-            summary.scaled_tries += 1;
-        }
-        displacements.iter_mut().zip(&held).filter(|(_, held)| **held).for_each(|(d, _)| *d = DVec3::ZERO);
-        displacements.iter_mut().filter(|d| !d.is_finite()).for_each(|d| *d = DVec3::ZERO);
+        let displacements = displacements_of(mesh, input, &body, &mut matrix, &mut summary, context)?;
         let bound = input.options.min_dihedral_angle;
         let guarded = move_guarded(&mut mesh.points, &mesh.tets, &model.incidence, &displacements, bound);
         summary.guarded.damped += guarded.damped;
@@ -132,6 +112,58 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
         summary.iterations += 1;
     }
     Ok(summary)
+}
+
+/// What stays the same in all iterations.
+struct Body<'a> {
+    model: &'a ModelPattern,
+    /// Diagonal block of the stiffness at each source point.
+    diagonals: Vec<DMat3>,
+    /// Vertices that must not move.
+    held: Vec<bool>,
+    /// Tets with a source point.
+    near: Vec<u32>,
+}
+
+fn tets_at_sources(mesh: &CandidateMesh, sources: &SourcePoints) -> Vec<u32> {
+    let is_near = |t: &u32| mesh.tets[*t as usize].iter().any(|v| sources.position_of(*v).is_some());
+    (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096).filter(is_near).collect()
+}
+
+/// One solve, again with scaled confidence where it would spoil elements.
+fn displacements_of(
+    mesh: &CandidateMesh,
+    input: &Deformation,
+    body: &Body,
+    matrix: &mut BlockCsr,
+    summary: &mut DeformationSummary,
+    context: &RunContext,
+) -> Result<Vec<DVec3>> {
+    let edges = mean_edge_lengths(mesh);
+    let wanted = source_displacements(mesh, input, &edges);
+    let mut confidence: Vec<f64> = wanted.iter().map(|w| f64::from(u8::from(w.is_some()))).collect();
+    let mut displacements = vec![DVec3::ZERO; mesh.points.len()];
+    let mut right = vec![DVec3::ZERO; mesh.points.len()];
+    for attempt in 0..=input.options.max_confidence_iterations {
+        for (at, vertex) in input.sources.vertices.iter().enumerate() {
+            let pull = input.options.flexibility * confidence[at];
+            matrix.set_diagonal(vertex.index(), body.diagonals[at] + DMat3::from_diagonal(DVec3::splat(pull)));
+            right[vertex.index()] = wanted[at].unwrap_or(DVec3::ZERO) * pull;
+        }
+        mesh.fixed.iter().for_each(|v| right[v.index()] = DVec3::ZERO);
+        let rule = StoppingRule { relative_tolerance: RELATIVE_TOLERANCE, max_iterations: MAX_SOLVER_ITERATIONS };
+        let solver = PreparedSolver::new(matrix, SolverKind::BlockJacobiCg, context);
+        summary.solver_iterations += solver.solve(&right, &mut displacements, &rule, context)?.iterations;
+        if attempt == input.options.max_confidence_iterations
+            || !scale_confidence(mesh, input, body, &displacements, &mut confidence)
+        {
+            break;
+        }
+        summary.scaled_tries += 1;
+    }
+    displacements.iter_mut().zip(&body.held).filter(|(_, held)| **held).for_each(|(d, _)| *d = DVec3::ZERO);
+    displacements.iter_mut().filter(|d| !d.is_finite()).for_each(|d| *d = DVec3::ZERO);
+    Ok(displacements)
 }
 
 fn materials(input: &Deformation) -> Result<MaterialMap> {
@@ -179,26 +211,24 @@ fn source_displacements(mesh: &CandidateMesh, input: &Deformation, edges: &[f64]
 fn scale_confidence(
     mesh: &CandidateMesh,
     input: &Deformation,
-    model: &ModelPattern,
+    body: &Body,
     displacements: &[DVec3],
     confidence: &mut [f64],
 ) -> bool {
-    let bound = input.options.min_dihedral_angle;
-    let spoiled: Vec<bool> = mesh
-        .tets
-        .par_iter()
-        .with_min_len(1024)
-        .map(|tet| {
-            let moved = tet_score(tet.map(|v| mesh.points[v.index()] + displacements[v.index()]));
-            moved < bound && moved < tet_score(tet.map(|v| mesh.points[v.index()]))
-        })
-        .collect();
+    let bound = Threshold::of(input.options.min_dihedral_angle);
+    let is_spoiled = |t: &&u32| {
+        let tet = mesh.tets[**t as usize];
+        let moved = tet.map(|v| mesh.points[v.index()] + displacements[v.index()]);
+        tet_fails(moved, &bound) && tet_score(moved) < tet_score(tet.map(|v| mesh.points[v.index()]))
+    };
+    let spoiled: Vec<u32> = body.near.par_iter().with_min_len(1024).filter(is_spoiled).copied().collect();
+    let mut vertices: Vec<VertexId> = spoiled.iter().flat_map(|t| mesh.tets[*t as usize]).collect();
+    vertices.sort_unstable();
+    vertices.dedup();
     let mut any = false;
-    for (at, vertex) in input.sources.vertices.iter().enumerate() {
-        if model.incidence.of(vertex.index()).iter().any(|t| spoiled[*t as usize]) {
-            confidence[at] *= input.options.confidence_factor;
-            any = true;
-        }
+    for at in vertices.into_iter().filter_map(|v| input.sources.position_of(v)) {
+        confidence[at] *= input.options.confidence_factor;
+        any = true;
     }
     any
 }

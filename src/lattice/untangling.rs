@@ -18,7 +18,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::index::VertexId;
-use crate::lattice::element_score::tet_score;
+use crate::lattice::element_score::{Threshold, tet_fails, tet_score};
 use crate::sparse::pattern::Incidence;
 
 /// Rounds that halve before a vertex is put back.
@@ -45,9 +45,10 @@ pub fn move_guarded(
     let mut factors = vec![1.0f64; points.len()];
     points.par_iter_mut().zip(displacements).for_each(|(p, d)| *p += *d);
     let corners = |points: &[DVec3], t: u32| tets[t as usize].map(|v| points[v.index()]);
+    let threshold = Threshold::of(bound);
     let is_spoiled = |points: &[DVec3], t: u32| {
-        let score = tet_score(corners(points, t));
-        score < bound && score < tet_score(corners(&before, t))
+        let moved = corners(points, t);
+        tet_fails(moved, &threshold) && tet_score(moved) < tet_score(corners(&before, t))
     };
     let mut bad: Vec<u32> =
         (0..tets.len() as u32).into_par_iter().with_min_len(1024).filter(|t| is_spoiled(points, *t)).collect();

@@ -64,6 +64,13 @@ impl BlockCsr {
         }
     }
 
+    /// Replaces the diagonal block of a row; ignored where the pattern has none.
+    pub fn set_diagonal(&mut self, row: usize, block: DMat3) {
+        if let Some(at) = self.pattern.position(row, row) {
+            self.blocks[at] = block;
+        }
+    }
+
     /// Fills the matrix in parallel: `fill(rows, blocks)` writes the blocks of a range of rows, which begin at
     /// `pattern.offsets()[rows.start]`.
     pub fn fill_rows(&mut self, fill: impl Fn(&Pattern, Range<usize>, &mut [DMat3]) + Sync) {
