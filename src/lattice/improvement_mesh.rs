@@ -186,38 +186,32 @@ impl<'a> ImprovementMesh<'a> {
 
     /// Faces at a vertex that separate two sides.
     pub fn surface_faces(&self, v: u32) -> Vec<SurfaceFace> {
-        // (smaller, larger, tet, face) of every face at v; equal pairs are the two tets of a face.
-        let mut entries: Vec<(u32, u32, u32, [u32; 2])> = Vec::with_capacity(self.ball(v).len());
+        // Smaller and larger vertex, tet, order of every face at v; equal pairs are the two tets of a face.
+        let mut entries: Vec<(u64, u32, [u32; 2])> = Vec::with_capacity(self.ball(v).len());
         for &t in self.ball(v) {
             let tet = self.tets[t as usize];
-            for face in TET_FACES {
-                let corners = face.map(|c| tet[c]);
-                if let Some(at) = corners.iter().position(|c| *c == v) {
-                    let others = [corners[(at + 1) % 3], corners[(at + 2) % 3]];
-                    // A face between two sides has all its vertices on the surface.
-                    if !(self.is_on_surface(others[0]) && self.is_on_surface(others[1])) {
-                        continue;
-                    }
-                    entries.push((others[0].min(others[1]), others[0].max(others[1]), t, others));
-                }
+            let own = tet.iter().position(|w| *w == v).unwrap_or(0);
+            // A face between two sides has all its vertices on the surface.
+            let on = [0, 1, 2, 3].map(|c| c != own && self.is_on_surface(tet[c]));
+            // The face opposite to corner `off`, turned until `own` comes first.
+            for off in (0..4).filter(|off| *off != own && (0..4).all(|c| c == *off || c == own || on[c])) {
+                let face = TET_FACES[off];
+                let at = face.iter().position(|c| *c == own).unwrap_or(0);
+                let [a, b] = [tet[face[(at + 1) % 3]], tet[face[(at + 2) % 3]]];
+                entries.push((u64::from(a.min(b)) << 32 | u64::from(a.max(b)), t, [a, b]));
             }
         }
         entries.sort_unstable();
-        let mut faces = Vec::new();
-        let mut at = 0;
-        while at < entries.len() {
-            let (a, b, t, others) = entries[at];
-            match entries.get(at + 1) {
-                Some(&(c, d, u, _)) if (a, b) == (c, d) => {
-                    if self.labels[t as usize] != self.labels[u as usize] {
-                        faces.push(SurfaceFace { others, inner: t, outer: Some(u) });
+        let mut faces = Vec::with_capacity(entries.len() / 2);
+        for face in entries.chunk_by(|l, r| l.0 == r.0) {
+            match *face {
+                [(_, inner, others)] => faces.push(SurfaceFace { others, inner, outer: None }),
+                [(_, inner, others), (_, outer, _), ..] => {
+                    if self.labels[inner as usize] != self.labels[outer as usize] {
+                        faces.push(SurfaceFace { others, inner, outer: Some(outer) });
                     }
-                    at += 2;
                 }
-                _ => {
-                    faces.push(SurfaceFace { others, inner: t, outer: None });
-                    at += 1;
-                }
+                [] => {}
             }
         }
         faces

@@ -25,7 +25,7 @@
 //! The mesh conforms after each call; the lowest score of the tets that were replaced has risen by `LEAST_GAIN` at least.
 
 use crate::index::Label;
-use crate::lattice::element_score::tet_score;
+use crate::lattice::element_score::{Threshold, tet_fails, tet_score};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::vertex_optimization::optimize_vertex;
@@ -79,13 +79,9 @@ pub fn transform(mesh: &mut ImprovementMesh, t: u32, slack: f64, counts: &mut Tr
             return true;
         }
     }
-    for [a, b] in TET_EDGES {
-        for [from, to] in [[a, b], [b, a]] {
-            if contract_edge(mesh, tet[from], tet[to]) {
-                counts.contractions += 1;
-                return true;
-            }
-        }
+    if contract_one_edge(mesh, t) {
+        counts.contractions += 1;
+        return true;
     }
     for [a, b] in TET_EDGES {
         if split_edge(mesh, tet[a], tet[b], slack) {
@@ -218,41 +214,52 @@ fn common(left: &[u32], right: &[u32]) -> usize {
     left.iter().filter(|v| right.binary_search(v).is_ok()).count()
 }
 
-/// Merges `from` into `to`.
-fn contract_edge(mesh: &mut ImprovementMesh, from: u32, to: u32) -> bool {
-    if mesh.fixed[from as usize] {
+/// Merges a vertex of the tet into another one of it, the first of the twelve ways that gains enough.
+fn contract_one_edge(mesh: &mut ImprovementMesh, t: u32) -> bool {
+    let tet = mesh.tets[t as usize];
+    for from in tet.into_iter().filter(|v| !mesh.fixed[*v as usize]).collect::<Vec<_>>() {
+        let needed = mesh.lowest(mesh.ball(from)) + LEAST_GAIN;
+        let threshold = Threshold::of(needed);
+        for to in tet {
+            if to != from && contract_edge(mesh, from, to, &threshold) {
+                return true;
+            }
+        }
+    }
+    false
+}
+
+/// Merges `from` into `to` where all changed tets reach the threshold.
+fn contract_edge(mesh: &mut ImprovementMesh, from: u32, to: u32, needed: &Threshold) -> bool {
+    let place = |v: u32| mesh.points[if v == from { to } else { v } as usize];
+    // Quality fails far more often than topology, and at the first tets.
+    let is_good = |t: &u32| {
+        let tet = mesh.tets[*t as usize];
+        tet.contains(&to) || !tet_fails(tet.map(place), needed)
+    };
+    if !mesh.ball(from).iter().all(is_good) || !contraction_is_safe(mesh, from, to) {
         return false;
     }
+    let old: Vec<u32> = mesh.ball(from).to_vec();
+    let kept =
+        old.iter().map(|t| (mesh.tets[*t as usize], mesh.labels[*t as usize])).filter(|(tet, _)| !tet.contains(&to));
+    let new: Vec<_> = kept.map(|(tet, label)| (tet.map(|v| if v == from { to } else { v }), label)).collect();
+    if new.is_empty() {
+        return false;
+    }
+    mesh.replace(&old, &new);
+    true
+}
+
+fn contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32) -> bool {
     let shell = mesh.shell(from, to);
     // The vertices joined to both ends must be those around the edge, or the contraction would glue distant parts.
     let mut around: Vec<u32> =
         shell.iter().flat_map(|t| mesh.tets[*t as usize]).filter(|v| *v != from && *v != to).collect();
     around.sort_unstable();
     around.dedup();
-    if common(&link_vertices(mesh, from), &link_vertices(mesh, to)) != around.len() {
-        return false;
-    }
-    if mesh.is_on_surface(from) && !surface_contraction_is_safe(mesh, from, to, &shell) {
-        return false;
-    }
-    let old: Vec<u32> = mesh.ball(from).to_vec();
-    let needed = mesh.lowest(&old) + LEAST_GAIN;
-    let mut new = Vec::with_capacity(old.len());
-    for &t in &old {
-        let tet = mesh.tets[t as usize];
-        if !tet.contains(&to) {
-            let moved = tet.map(|v| if v == from { to } else { v });
-            if tet_score(moved.map(|v| mesh.points[v as usize])) <= needed {
-                return false;
-            }
-            new.push((moved, mesh.labels[t as usize]));
-        }
-    }
-    if new.is_empty() {
-        return false;
-    }
-    mesh.replace(&old, &new);
-    true
+    common(&link_vertices(mesh, from), &link_vertices(mesh, to)) == around.len()
+        && (!mesh.is_on_surface(from) || surface_contraction_is_safe(mesh, from, to, &shell))
 }
 
 /// A surface vertex may be merged along a surface edge into a vertex that separates the same sides and more, when the

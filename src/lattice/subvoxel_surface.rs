@@ -49,6 +49,8 @@ pub struct SubvoxelSurface<'a> {
     spacing: DVec3,
     /// Outward offset per label, mm.
     offsets: Vec<f64>,
+    /// The Gaussian at whole voxels -2 to 3.
+    tails: [f64; 6],
 }
 
 /// Weights of the Gaussian and its derivative along one axis, and the voxels they belong to.
@@ -66,6 +68,10 @@ impl<'a> SubvoxelSurface<'a> {
             size: image.grid().size(),
             spacing: image.grid().spacing(),
             offsets: vec![0.0; image.label_count()],
+            tails: std::array::from_fn(|slot| {
+                let i = slot as f64 - 2.0;
+                (-i * i / (2.0 * SIGMA * SIGMA)).exp()
+            }),
         }
     }
 
@@ -119,7 +125,7 @@ impl<'a> SubvoxelSurface<'a> {
         let powers = [1.0 / (step * step), 1.0 / step, 1.0, step, step * step, step * step * step];
         for (slot, power) in powers.into_iter().enumerate() {
             let i = slot as f64 - 2.0;
-            let value = center * power * (-i * i * inverse / 2.0).exp();
+            let value = center * power * self.tails[slot];
             weights.value[slot] = value;
             weights.slope[slot] = -(fraction - i) * inverse * value / self.spacing[axis];
             weights.voxel[slot] = ((base + i).max(0.0) as usize).min(self.size[axis] - 1);
@@ -129,19 +135,14 @@ impl<'a> SubvoxelSurface<'a> {
 
     /// Sums over the voxels around a point: `f_a - f_b`, its gradient, and `f_a + f_b`.
     fn smoothed(&self, point: DVec3, a: Label, b: Label) -> (f64, DVec3, f64) {
-        let [x, y, z]: [AxisWeights; 3] = std::array::from_fn(|axis| self.axis_weights(axis, point[axis]));
+        let [x, y, z] = [0, 1, 2].map(|axis| self.axis_weights(axis, point[axis]));
+        let whole: (f64, f64) = (x.value.iter().sum(), x.slope.iter().sum());
         let (mut value, mut gradient, mut presence) = (0.0, DVec3::ZERO, 0.0);
         for k in 0..6 {
             for j in 0..6 {
                 let row = self.size[0] * (y.voxel[j] + self.size[1] * z.voxel[k]);
-                let (mut sum, mut slope, mut weight) = (0.0, 0.0, 0.0);
-                for i in 0..6 {
-                    let label = self.voxels[row + x.voxel[i]];
-                    let (in_a, in_b) = (f64::from(u8::from(label == a)), f64::from(u8::from(label == b)));
-                    sum += (in_a - in_b) * x.value[i];
-                    slope += (in_a - in_b) * x.slope[i];
-                    weight += (in_a + in_b) * x.value[i];
-                }
+                let labels = x.voxel.map(|i| self.voxels[row + i]);
+                let Some((sum, slope, weight)) = row_sums(&labels, &x, whole, a, b) else { continue };
                 let plane = y.value[j] * z.value[k];
                 value += plane * sum;
                 presence += plane * weight;
@@ -258,6 +259,27 @@ impl<'a> SubvoxelSurface<'a> {
         }
         Some(at)
     }
+}
+
+/// Sums of one row of voxels: value, slope and weight; `None` where neither label is met. `whole` is the sums of the weights.
+#[inline]
+fn row_sums(labels: &[Label; 6], x: &AxisWeights, whole: (f64, f64), a: Label, b: Label) -> Option<(f64, f64, f64)> {
+    // Most rows hold one label only.
+    if labels.iter().all(|l| *l == labels[0]) {
+        return match labels[0] {
+            label if label == a => Some((whole.0, whole.1, whole.0)),
+            label if label == b => Some((-whole.0, -whole.1, whole.0)),
+            _ => None,
+        };
+    }
+    let (mut sum, mut slope, mut weight) = (0.0, 0.0, 0.0);
+    for i in 0..6 {
+        let (in_a, in_b) = (f64::from(u8::from(labels[i] == a)), f64::from(u8::from(labels[i] == b)));
+        sum += (in_a - in_b) * x.value[i];
+        slope += (in_a - in_b) * x.slope[i];
+        weight += (in_a + in_b) * x.value[i];
+    }
+    Some((sum, slope, weight))
 }
 
 /// Inverse of the error function within 2e-3: a start for Newton steps, exact at zero.
