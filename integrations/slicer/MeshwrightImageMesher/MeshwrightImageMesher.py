@@ -6,39 +6,28 @@ import sys
 import qt
 import slicer
 import vtk
-from slicer.ScriptedLoadableModule import (
-    ScriptedLoadableModule,
-    ScriptedLoadableModuleLogic,
-    ScriptedLoadableModuleTest,
-    ScriptedLoadableModuleWidget,
-)
+from slicer.ScriptedLoadableModule import ScriptedLoadableModuleLogic, ScriptedLoadableModuleTest
 
 sys.path.append(os.path.join(os.path.dirname(__file__), ".."))
-from MeshwrightLib import command_line, results  # noqa: E402
+from MeshwrightLib import checks, command_line, modules, results, widgets  # noqa: E402
 
 
-class MeshwrightImageMesher(ScriptedLoadableModule):
-    def __init__(self, parent):
-        super().__init__(parent)
-        parent.title = "Meshwright: Segmentation to Mesh"
-        parent.categories = ["Mesh Generation"]
-        parent.dependencies = []
-        parent.contributors = ["The Meshwright developers"]
-        parent.helpText = (
-            "Makes a tetrahedral mesh of a segmentation. Choose the segments, a preset, and press Apply. "
-            "Fidelity is the share of each segment that the mesh covers; a segment may have its own. "
-            "The mesh lies where the segmentation lies, whatever the orientation of the scan, and keeps every segment."
-        )
-        parent.acknowledgementText = "Method: F. Drakopoulos, PhD dissertation, Old Dominion University, 2017."
+class MeshwrightImageMesher(modules.DescribedModule):
+    TITLE = "Segmentation to Mesh"
+    HELP = (
+        "Makes a tetrahedral mesh of a segmentation. Choose the segments, a preset, and press Apply. "
+        "Fidelity is the share of each segment that the mesh covers; a segment may have its own. "
+        "The mesh lies where the segmentation lies, whatever the orientation of the scan, and keeps every segment."
+    )
 
 
-class MeshwrightImageMesherWidget(ScriptedLoadableModuleWidget):
+class MeshwrightImageMesherWidget(modules.RunPanel):
+    FAILURE = "The segmentation cannot be meshed."
+
     def setup(self):
         super().setup()
-        from MeshwrightLib import widgets
-
-        self.widgets = widgets
         self.logic = MeshwrightImageMesherLogic()
+        self.labels = None
         inputs = widgets.section(self.layout, "Input")
         self.segmentation_selector = widgets.node_selector(["vtkMRMLSegmentationNode"], False, "The segmentation to mesh.")
         inputs.addRow("Segmentation:", self.segmentation_selector)
@@ -46,10 +35,8 @@ class MeshwrightImageMesherWidget(ScriptedLoadableModuleWidget):
         inputs.addRow(self.table)
 
         settings = widgets.section(self.layout, "Settings")
-        self.preset = qt.QComboBox()
-        self.preset.addItems(list(command_line.IMAGE_PRESETS))
+        self.add_preset(settings, command_line.IMAGE_PRESETS)
         self.preset.setCurrentText("Simulation (default)")
-        settings.addRow("Preset:", self.preset)
         self.spacing = self._optional_number(settings, "Lattice spacing (mm):", 0.0, 100.0, "Size of the coarsest elements; 0 leaves it to the preset.")
         self.fidelity = self._optional_number(settings, "Fidelity:", 0.0, 1.0, "For segments without their own; 0 leaves it to the preset.")
 
@@ -59,18 +46,11 @@ class MeshwrightImageMesherWidget(ScriptedLoadableModuleWidget):
         self.per_label = qt.QCheckBox()
         self.per_label.toolTip = "Make one model per segment beside the whole mesh."
         outputs.addRow("One model per segment:", self.per_label)
-        self.apply_button = qt.QPushButton("Apply")
-        self.apply_button.enabled = False
-        outputs.addRow(self.apply_button)
-        self.runner = widgets.CliRunner(slicer.modules.meshwrightimagetomesh, outputs, self.on_finished)
+        self.add_apply(outputs, slicer.modules.meshwrightimagetomesh)
         self.histogram = widgets.HistogramView()
         outputs.addRow("Quality:", self.histogram)
         self.layout.addStretch(1)
-
-        self.segmentation_selector.connect("currentNodeChanged(vtkMRMLNode*)", self.on_input_changed)
-        self.output_selector.connect("currentNodeChanged(vtkMRMLNode*)", self.on_input_changed)
-        self.apply_button.connect("clicked(bool)", self.on_apply)
-        self.on_input_changed()
+        self.follow(self.segmentation_selector, self.output_selector)
 
     def _optional_number(self, layout, label, low, high, tool_tip):
         box = qt.QDoubleSpinBox()
@@ -87,28 +67,25 @@ class MeshwrightImageMesherWidget(ScriptedLoadableModuleWidget):
         self.table.show_segmentation(segmentation)
         self.apply_button.enabled = bool(segmentation and self.output_selector.currentNode())
 
-    def on_apply(self):
-        if self.runner.is_busy():
-            self.runner.cancel()
-            return
-        with slicer.util.tryWithErrorDisplay("The segmentation cannot be meshed."):
-            segments = self.table.chosen_segments()
-            self.labels = self.logic.export_labels(self.segmentation_selector.currentNode(), segments)
-            overrides = {"lattice-spacing": self.spacing.value or None, "fidelity": self.fidelity.value or None}
-            preset = command_line.IMAGE_PRESETS[self.preset.currentText]
-            parameters = command_line.parameters_of(preset, overrides, {"fidelity": self.table.fidelities()})
-            self.runner.start({"image": self.labels, "output": self.output_selector.currentNode()}, parameters)
-            self.apply_button.text = "Cancel"
+    def prepare(self):
+        overrides = {"lattice-spacing": self.spacing.value or None, "fidelity": self.fidelity.value or None}
+        preset = command_line.IMAGE_PRESETS[self.preset.currentText]
+        parameters = command_line.parameters_of(preset, overrides, {"fidelity": self.table.fidelities()})
+        self.labels = self.logic.export_labels(self.segmentation_selector.currentNode(), self.table.chosen_segments())
+        return {"image": self.labels, "output": self.output_selector.currentNode()}, parameters
 
-    def on_finished(self, is_done):
-        self.apply_button.text = "Apply"
+    def clean_up(self):
         slicer.mrmlScene.RemoveNode(self.labels)
-        if is_done:
-            mesh_node = self.output_selector.currentNode()
-            self.widgets.show_volume_mesh(mesh_node)
-            self.histogram.show_mesh(mesh_node.GetMesh())
-            if self.per_label.checked:
-                self.widgets.make_label_models(mesh_node, self.logic.segment_names)
+        self.labels = None
+
+    def show_result(self):
+        mesh_node = self.output_selector.currentNode()
+        # The module saw the labels without the transforms above the segmentation.
+        mesh_node.SetAndObserveTransformNodeID(self.labels.GetTransformNodeID())
+        widgets.show_volume_mesh(mesh_node)
+        self.histogram.show_mesh(mesh_node.GetMesh())
+        if self.per_label.checked:
+            widgets.make_label_models(mesh_node, self.logic.segment_names)
 
 
 class MeshwrightImageMesherLogic(ScriptedLoadableModuleLogic):
@@ -118,8 +95,7 @@ class MeshwrightImageMesherLogic(ScriptedLoadableModuleLogic):
 
     def export_labels(self, segmentation_node, segment_ids):
         """A label map of the chosen segments on the reference geometry; labels count from 1 in the order chosen."""
-        if segmentation_node is None or not segment_ids:
-            raise ValueError("Choose a segmentation with at least one segment.")
+        checks.check_segments(segmentation_node, segment_ids)
         labels = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLLabelMapVolumeNode", "Meshwright labels")
         ids = vtk.vtkStringArray()
         for segment_id in segment_ids:
@@ -129,7 +105,7 @@ class MeshwrightImageMesherLogic(ScriptedLoadableModuleLogic):
         )
         if not exported:
             slicer.mrmlScene.RemoveNode(labels)
-            raise RuntimeError("The segments could not be turned into a label map.")
+            raise RuntimeError("The segments could not be turned into a label map: are they empty?")
         segmentation = segmentation_node.GetSegmentation()
         self.segment_names = {i: segmentation.GetSegment(s).GetName() for i, s in enumerate(segment_ids, start=1)}
         return labels
@@ -142,6 +118,7 @@ class MeshwrightImageMesherTest(ScriptedLoadableModuleTest):
     def runTest(self):
         self.setUp()
         self.test_meshes_a_sphere_segment()
+        self.test_a_segmentation_without_segments_is_refused()
 
     def test_meshes_a_sphere_segment(self):
         source = vtk.vtkSphereSource()
@@ -165,3 +142,9 @@ class MeshwrightImageMesherTest(ScriptedLoadableModuleTest):
             self.assertAlmostEqual(found, expected, delta=2.0)
         self.assertGreater(min(results.minimum_dihedral_angles(mesh.GetMesh())), 5.0)
         self.delayDisplay("Test passed")
+
+    def test_a_segmentation_without_segments_is_refused(self):
+        segmentation = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLSegmentationNode", "empty")
+        with self.assertRaisesRegex(ValueError, "no segments"):
+            MeshwrightImageMesherLogic().export_labels(segmentation, [])
+        self.assertIsNone(slicer.mrmlScene.GetFirstNodeByClass("vtkMRMLLabelMapVolumeNode"))

@@ -9,14 +9,14 @@ IMAGE_PRESETS = {
 
 SURFACE_PRESETS = {
     "Simulation (default)": {},
-    "Surface only, no points inside": {"ref": 0},
-    "Coarse interior": {"cdfr": 1.5},
-    "High quality": {"nqual": 5},
+    "Surface only, no points inside": {"refine": "off"},
+    "Coarse interior": {"growth-rate": 1.5},
+    "High quality": {"quality-passes": 5},
 }
 
 REGISTRATION_PRESETS = {
-    "Adaptive (resection)": {"tumor-resection": 1},
-    "Brain shift, nothing removed": {"tumor-resection": 0},
+    "Adaptive (resection)": {"tumor-resection": "on"},
+    "Brain shift, nothing removed": {"tumor-resection": "off"},
 }
 
 

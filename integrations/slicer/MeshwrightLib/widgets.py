@@ -5,7 +5,7 @@ import qt
 import slicer
 import vtk
 
-from MeshwrightLib import command_line, results
+from MeshwrightLib import checks, command_line, results
 
 
 class CliRunner:
@@ -79,9 +79,10 @@ class SegmentTable(qt.QTableWidget):
         """`{label: fidelity}`; labels of an exported label map count the chosen segments from 1."""
         values = {}
         for label, segment_id in enumerate(self.chosen_segments(), start=1):
-            text = self.item(self.segment_ids.index(segment_id), 2).text().strip()
-            if text:
-                values[label] = float(text)
+            row = self.segment_ids.index(segment_id)
+            value = checks.fidelity_of(self.item(row, 2).text(), self.item(row, 1).text())
+            if value is not None:
+                values[label] = value
         return values
 
 

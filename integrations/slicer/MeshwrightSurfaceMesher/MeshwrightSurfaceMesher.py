@@ -6,45 +6,32 @@ import sys
 import qt
 import slicer
 import vtk
-from slicer.ScriptedLoadableModule import (
-    ScriptedLoadableModule,
-    ScriptedLoadableModuleLogic,
-    ScriptedLoadableModuleTest,
-    ScriptedLoadableModuleWidget,
-)
+from slicer.ScriptedLoadableModule import ScriptedLoadableModuleLogic, ScriptedLoadableModuleTest
 
 sys.path.append(os.path.join(os.path.dirname(__file__), ".."))
-from MeshwrightLib import command_line, results  # noqa: E402
+from MeshwrightLib import checks, command_line, modules, results, widgets  # noqa: E402
 
 
-class MeshwrightSurfaceMesher(ScriptedLoadableModule):
-    def __init__(self, parent):
-        super().__init__(parent)
-        parent.title = "Meshwright: Surface to Mesh"
-        parent.categories = ["Mesh Generation"]
-        parent.dependencies = []
-        parent.contributors = ["The Meshwright developers"]
-        parent.helpText = (
-            "Fills a closed surface model with tetrahedra. Every triangle of the model stays as it is. "
-            "A surface that is open or intersects itself is refused, with the places listed."
-        )
-        parent.acknowledgementText = "Method: F. Drakopoulos, PhD dissertation, Old Dominion University, 2017."
+class MeshwrightSurfaceMesher(modules.DescribedModule):
+    TITLE = "Surface to Mesh"
+    HELP = (
+        "Fills a closed surface model with tetrahedra. Every triangle of the model stays as it is. "
+        "A surface that is open or intersects itself is refused, with the places listed."
+    )
 
 
-class MeshwrightSurfaceMesherWidget(ScriptedLoadableModuleWidget):
+class MeshwrightSurfaceMesherWidget(modules.RunPanel):
+    FAILURE = "The surface cannot be meshed."
+
     def setup(self):
         super().setup()
-        from MeshwrightLib import widgets
-
-        self.widgets = widgets
         self.logic = MeshwrightSurfaceMesherLogic()
+        self.prepared = None
         inputs = widgets.section(self.layout, "Input")
         self.surface_selector = widgets.node_selector(["vtkMRMLModelNode"], False, "A closed, triangulated surface.")
         inputs.addRow("Surface:", self.surface_selector)
         settings = widgets.section(self.layout, "Settings")
-        self.preset = qt.QComboBox()
-        self.preset.addItems(list(command_line.SURFACE_PRESETS))
-        settings.addRow("Preset:", self.preset)
+        self.add_preset(settings, command_line.SURFACE_PRESETS)
         self.size = qt.QDoubleSpinBox()
         self.size.setRange(0.0, 1e6)
         self.size.specialValueText = "from the surface"
@@ -53,45 +40,38 @@ class MeshwrightSurfaceMesherWidget(ScriptedLoadableModuleWidget):
         outputs = widgets.section(self.layout, "Output")
         self.output_selector = widgets.node_selector(["vtkMRMLModelNode"], True, "The mesh.")
         outputs.addRow("Mesh:", self.output_selector)
-        self.apply_button = qt.QPushButton("Apply")
-        outputs.addRow(self.apply_button)
-        self.runner = widgets.CliRunner(slicer.modules.meshwrightsurfacetomesh, outputs, self.on_finished)
+        self.add_apply(outputs, slicer.modules.meshwrightsurfacetomesh)
         self.histogram = widgets.HistogramView()
         outputs.addRow("Quality:", self.histogram)
         self.layout.addStretch(1)
-        for selector in (self.surface_selector, self.output_selector):
-            selector.connect("currentNodeChanged(vtkMRMLNode*)", self.on_input_changed)
-        self.apply_button.connect("clicked(bool)", self.on_apply)
-        self.on_input_changed()
+        self.follow(self.surface_selector, self.output_selector)
 
     def on_input_changed(self, _node=None):
         self.apply_button.enabled = bool(self.surface_selector.currentNode() and self.output_selector.currentNode())
 
-    def on_apply(self):
-        if self.runner.is_busy():
-            self.runner.cancel()
-            return
-        with slicer.util.tryWithErrorDisplay("The surface cannot be meshed."):
-            self.prepared = self.logic.triangulated(self.surface_selector.currentNode())
-            overrides = {"dfmax": self.size.value or None}
-            parameters = command_line.parameters_of(command_line.SURFACE_PRESETS[self.preset.currentText], overrides, {})
-            self.runner.start({"plc": self.prepared, "output": self.output_selector.currentNode()}, parameters)
-            self.apply_button.text = "Cancel"
+    def prepare(self):
+        surface, output = self.surface_selector.currentNode(), self.output_selector.currentNode()
+        checks.check_different(surface, output)
+        self.prepared = self.logic.triangulated(surface)
+        overrides = {"size-limit": self.size.value or None}
+        parameters = command_line.parameters_of(command_line.SURFACE_PRESETS[self.preset.currentText], overrides, {})
+        return {"plc": self.prepared, "output": output}, parameters
 
-    def on_finished(self, is_done):
-        self.apply_button.text = "Apply"
+    def clean_up(self):
         slicer.mrmlScene.RemoveNode(self.prepared)
-        if is_done:
-            mesh_node = self.output_selector.currentNode()
-            self.widgets.show_volume_mesh(mesh_node)
-            self.histogram.show_mesh(mesh_node.GetMesh())
+        self.prepared = None
+
+    def show_result(self):
+        mesh_node = self.output_selector.currentNode()
+        mesh_node.SetAndObserveTransformNodeID(self.prepared.GetTransformNodeID())
+        widgets.show_volume_mesh(mesh_node)
+        self.histogram.show_mesh(mesh_node.GetMesh())
 
 
 class MeshwrightSurfaceMesherLogic(ScriptedLoadableModuleLogic):
     def triangulated(self, model_node):
         """A copy of the model with triangles only; strips and polygons are split, points are not moved or merged."""
-        if model_node is None or model_node.GetPolyData() is None or model_node.GetPolyData().GetNumberOfCells() == 0:
-            raise ValueError("Choose a surface model that is not empty.")
+        checks.check_surface(model_node)
         triangles = vtk.vtkTriangleFilter()
         triangles.SetInputData(model_node.GetPolyData())
         triangles.PassLinesOff()
@@ -99,6 +79,7 @@ class MeshwrightSurfaceMesherLogic(ScriptedLoadableModuleLogic):
         triangles.Update()
         copy = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLModelNode", "Meshwright surface")
         copy.SetAndObservePolyData(triangles.GetOutput())
+        copy.SetAndObserveTransformNodeID(model_node.GetTransformNodeID())
         return copy
 
 
