@@ -36,8 +36,10 @@ use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::{TET_EDGE_BETWEEN, TET_EDGES, TET_FACES};
 use crate::mesh::tet_store::TetStore;
 
-/// Sets up to this size are searched one by one, larger ones by hash.
+/// Cavities up to this size are searched in a table of fixed size, larger ones in sets that grow.
 const LINEAR: usize = 48;
+/// Slots of that table.
+const SLOTS: usize = 128;
 /// Times that a cavity may grow anew: each turns at least one tet out. In refinement more than three are rare.
 const CORRECTIONS: usize = 8;
 
@@ -58,6 +60,8 @@ struct BorderFace {
 #[derive(Debug, Clone, Default)]
 pub struct CavityScratch {
     cavity: Vec<TetId>,
+    /// The members of a small cavity by open addressing; the slot of an id is its low bits.
+    slots: Vec<TetId>,
     members: FxHashSet<TetId>,
     excluded: Vec<TetId>,
     border: Vec<BorderFace>,
@@ -75,7 +79,17 @@ impl CavityScratch {
     }
 
     fn holds(&self, tet: TetId) -> bool {
-        if self.cavity.len() <= LINEAR { self.cavity.contains(&tet) } else { self.members.contains(&tet) }
+        if self.cavity.len() > LINEAR {
+            return self.members.contains(&tet);
+        }
+        let mut at = tet.index() % SLOTS;
+        while self.slots[at] != TetId::NONE {
+            if self.slots[at] == tet {
+                return true;
+            }
+            at = (at + 1) % SLOTS;
+        }
+        false
     }
 
     fn add(&mut self, tet: TetId) {
@@ -85,6 +99,12 @@ impl CavityScratch {
             self.members.extend(self.cavity.iter().copied());
         } else if self.cavity.len() > LINEAR {
             self.members.insert(tet);
+        } else {
+            let mut at = tet.index() % SLOTS;
+            while self.slots[at] != TetId::NONE {
+                at = (at + 1) % SLOTS;
+            }
+            self.slots[at] = tet;
         }
     }
 
@@ -110,8 +130,26 @@ impl CavityScratch {
         Outcome::WouldInvert
     }
 
+    /// Whether no vertex of the cavity is closer to `point` than `factor` times the larger of the two sizes. The cavity of
+    /// a Delaunay neighbourhood has the nearest vertex.
+    pub fn is_clear<S: TetStore + ?Sized>(
+        &self,
+        store: &S,
+        sizes: &[f64],
+        point: DVec3,
+        size: f64,
+        factor: f64,
+    ) -> bool {
+        self.vertices.iter().all(|&vertex| {
+            let limit = factor * size.max(sizes[vertex.index()]);
+            store.point(vertex).distance_squared(point) >= limit * limit
+        })
+    }
+
     fn grow<S: TetStore + ?Sized>(&mut self, store: &mut S, start: TetId, point: DVec3) -> Outcome {
         self.cavity.clear();
+        self.slots.clear();
+        self.slots.resize(SLOTS, TetId::NONE);
         self.border.clear();
         self.add(start);
         self.vertices.clear();

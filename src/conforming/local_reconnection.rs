@@ -29,7 +29,7 @@ use crate::error::Result;
 use crate::geometry::predicates::{insphere, orient3d};
 use crate::geometry::tetrahedron::exceeds_angle;
 use crate::index::{TetFace, TetId, VertexId};
-use crate::mesh::tet_store::TetStore;
+use crate::mesh::tet_store::{TetStore, has_ghost};
 use crate::mesh::topology::ShellTet;
 
 /// What a reconnection has to improve.
@@ -218,7 +218,7 @@ impl Reconnector {
     ) -> Outcome {
         let tet = side.tet();
         let row = store.vertices(tet);
-        if row[0] == row[1] || row.contains(&VertexId::GHOST) {
+        if row[0] == row[1] || has_ghost(row) {
             return Outcome::NotApplicable;
         }
         if !store.try_claim_tet(tet) {
@@ -382,7 +382,7 @@ impl Reconnector {
 /// Whether a tet is worth a look: those without a large angle gain nothing from the second objective.
 fn may_gain<S: TetStore + ?Sized>(store: &S, tet: TetId, objective: Objective) -> bool {
     let row = store.vertices(tet);
-    let is_gone = row[0] == row[1] || row.contains(&VertexId::GHOST);
+    let is_gone = row[0] == row[1] || has_ghost(row);
     !is_gone && (objective == Objective::InSphere || exceeds_angle(store.corners(row), LARGE_ANGLE_COSINE))
 }
 

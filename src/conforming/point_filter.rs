@@ -28,7 +28,7 @@ use crate::geometry::predicates::{offset_orientation, orient3d};
 use crate::geometry::tetrahedron::barycentric;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_FACES;
-use crate::mesh::tet_store::TetStore;
+use crate::mesh::tet_store::{TetStore, has_ghost};
 
 use super::flips::Feature;
 
@@ -59,7 +59,7 @@ pub fn walk<S: TetStore + ?Sized>(store: &S, start: TetId, point: DVec3) -> Walk
         if row[0] == row[1] {
             return Walk::Lost;
         }
-        if row.contains(&VertexId::GHOST) {
+        if has_ghost(row) {
             return Walk::Blocked;
         }
         let corners = store.corners(row);
@@ -96,7 +96,7 @@ pub fn walk<S: TetStore + ?Sized>(store: &S, start: TetId, point: DVec3) -> Walk
 /// Whether `point` lies in `tet`, boundary included.
 pub fn contains<S: TetStore + ?Sized>(store: &S, tet: TetId, point: DVec3) -> bool {
     let row = store.vertices(tet);
-    !row.contains(&VertexId::GHOST) && {
+    !has_ghost(row) && {
         let corners = store.corners(row);
         TET_FACES.iter().all(|&[a, b, c]| orient3d(corners[a], corners[b], corners[c], point) <= 0.0)
     }

@@ -35,7 +35,7 @@ use crate::geometry::tetrahedron::volume;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::size_field::{SizeField, average_edges};
 use crate::mesh::tet_complex::TetComplex;
-use crate::mesh::tet_store::TetStore;
+use crate::mesh::tet_store::{TetStore, has_ghost};
 use crate::statistics::Statistics;
 
 /// Memory a tet is taken to need in a run with refinement and improvement, bytes: an estimate from the rows of the mesh,
@@ -289,7 +289,7 @@ fn refine_round(
     let settles = |tet: &TetId| {
         let row = complex.vertices(*tet);
         complex.is_live(*tet)
-            && !row.contains(&VertexId::GHOST)
+            && !has_ghost(row)
             && satisfaction.is_short(complex.corners(row), corner_sizes(complex, sizes, *tet))
     };
     let mut settled: Vec<TetId> =

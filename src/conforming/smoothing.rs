@@ -29,7 +29,7 @@ use crate::geometry::predicates::orient3d;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_FACES;
 use crate::mesh::tet_flags::TetFlags;
-use crate::mesh::tet_store::TetStore;
+use crate::mesh::tet_store::{TetStore, has_ghost};
 use crate::mesh::topology::BallWalk;
 
 /// Height of the regular tet over its edge.
@@ -216,23 +216,28 @@ impl Smoother {
         }
         let Some(start) = store.tet_of(vertex).some() else { return Outcome::NotApplicable };
         self.star.faces.clear();
+        if !store.try_claim_all(&store.vertices(start)) {
+            return Outcome::ClaimLost;
+        }
         let mut walk = BallWalk::new(start, &mut self.ball);
         while let Some(tet) = walk.next() {
             let (row, neighbors) = (store.vertices(tet), store.neighbors(tet));
-            let is_free = store.flags(tet).constraints() == TetFlags::LIVE && !neighbors.contains(&TetFace::NONE);
-            if row.contains(&VertexId::GHOST) || !(is_free || !touches_constraint(store, tet, vertex)) {
+            let no_end = neighbors.iter().all(|side| *side != TetFace::NONE);
+            let is_free = store.flags(tet).constraints() == TetFlags::LIVE && no_end;
+            if has_ghost(row) || !(is_free || !touches_constraint(store, tet, vertex)) {
                 return Outcome::Constrained;
             }
-            if !store.try_claim_all(&row) {
-                return Outcome::ClaimLost;
-            }
-            let local = row.iter().position(|v| *v == vertex).unwrap_or(0);
+            let local = store.local_vertex(tet, vertex).unwrap_or(0);
             let [i, j, k] = TET_FACES[local];
             let [a, b, c] = store.triangle([row[i], row[j], row[k]]);
             self.star.faces.push([a, c, b]);
             for face in 0..4 {
-                if face != local && neighbors[face] != TetFace::NONE {
-                    walk.meet(neighbors[face].tet());
+                // The face's vertices are held, so that only the apex beyond is to be claimed.
+                if face != local && neighbors[face] != TetFace::NONE && walk.meet(neighbors[face].tet()) {
+                    let apex = store.apex(neighbors[face]);
+                    if !store.try_claim(apex) {
+                        return Outcome::ClaimLost;
+                    }
                 }
             }
         }

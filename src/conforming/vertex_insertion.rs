@@ -84,6 +84,10 @@ pub fn insert_vertex<S: TetStore + ?Sized>(
     if matches!(snapped, Feature::Tet(_)) {
         match reconnector.cavity.plan(store, tet, point) {
             Outcome::Accepted => {
+                if !reconnector.cavity.is_clear(store, sizes, point, sizes[vertex.index()], rule.near_factor) {
+                    store.release_claims();
+                    return Ok(Insertion::TooClose);
+                }
                 let committed = reconnector.commit_cavity(store, vertex)?;
                 store.release_claims();
                 return Ok(if committed { Insertion::Inserted } else { Insertion::NoRoom });

@@ -102,17 +102,20 @@ impl TetStore for ClaimedTets<'_> {
 
     #[inline]
     fn point(&self, vertex: VertexId) -> DVec3 {
-        DVec3::from_array(self.points.load_row::<3>(3 * vertex.index()).map(f64::from_bits))
+        let [x, y, z] = self.points.load_row::<3>(3 * vertex.index());
+        DVec3::new(f64::from_bits(x), f64::from_bits(y), f64::from_bits(z))
     }
 
     #[inline]
     fn vertices(&self, tet: TetId) -> [VertexId; 4] {
-        bytemuck::cast(self.vertices.load_row::<4>(4 * tet.index()))
+        let [a, b, c, d] = self.vertices.load_row::<4>(4 * tet.index());
+        [VertexId(a), VertexId(b), VertexId(c), VertexId(d)]
     }
 
     #[inline]
     fn neighbors(&self, tet: TetId) -> [TetFace; 4] {
-        bytemuck::cast(self.neighbors.load_row::<4>(4 * tet.index()))
+        let [a, b, c, d] = self.neighbors.load_row::<4>(4 * tet.index());
+        [TetFace(a), TetFace(b), TetFace(c), TetFace(d)]
     }
 
     #[inline]
@@ -137,7 +140,7 @@ impl TetStore for ClaimedTets<'_> {
 
     #[inline]
     fn set_point(&mut self, vertex: VertexId, point: DVec3) {
-        self.points.store_row(3 * vertex.index(), point.to_array().map(f64::to_bits));
+        self.points.store_row(3 * vertex.index(), [point.x.to_bits(), point.y.to_bits(), point.z.to_bits()]);
     }
 
     fn create_tet(&mut self, vertices: [VertexId; 4], label: Label) -> Result<TetId> {

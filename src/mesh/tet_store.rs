@@ -24,6 +24,12 @@ use crate::error::Result;
 use crate::geometry::predicates::orient3d;
 use crate::index::{Label, TetFace, TetId, VertexId};
 
+/// Whether one of four vertices is the ghost.
+#[inline]
+pub fn has_ghost([a, b, c, d]: [VertexId; 4]) -> bool {
+    a.is_ghost() | b.is_ghost() | c.is_ghost() | d.is_ghost()
+}
+
 /// Reads and writes the rows of a tet mesh.
 pub trait TetStore {
     /// Number of vertices, the ghost not counted.
@@ -104,8 +110,12 @@ pub trait TetStore {
     /// Claims the vertices of a tet and makes sure that it is still the tet it was: afterwards it is stable.
     #[inline]
     fn try_claim_tet(&mut self, tet: TetId) -> bool {
-        let vertices = self.vertices(tet);
-        vertices[0] != vertices[1] && self.try_claim_all(&vertices) && self.vertices(tet) == vertices
+        let [a, b, c, d] = self.vertices(tet);
+        let is_claimed = a != b && self.try_claim(a) && self.try_claim(b) && self.try_claim(c) && self.try_claim(d);
+        is_claimed && {
+            let [e, f, g, h] = self.vertices(tet);
+            (a == e) & (b == f) & (c == g) & (d == h)
+        }
     }
 
     /// Whether the slot holds a tet.
@@ -117,13 +127,20 @@ pub trait TetStore {
     /// Whether the tet has the vertex at infinity.
     #[inline]
     fn is_ghost_tet(&self, tet: TetId) -> bool {
-        self.vertices(tet).contains(&VertexId::GHOST)
+        has_ghost(self.vertices(tet))
     }
 
     /// The local number of `vertex` in `tet`.
     #[inline]
     fn local_vertex(&self, tet: TetId, vertex: VertexId) -> Option<usize> {
-        self.vertices(tet).iter().position(|&v| v == vertex)
+        let [a, b, c, d] = self.vertices(tet);
+        match vertex {
+            v if v == a => Some(0),
+            v if v == b => Some(1),
+            v if v == c => Some(2),
+            v if v == d => Some(3),
+            _ => None,
+        }
     }
 
     /// The vertices of a side, outward normal.

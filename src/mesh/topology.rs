@@ -167,27 +167,29 @@ impl<'a> BallWalk<'a> {
         tet
     }
 
-    /// Takes in a tet of the ball, if it was not met before.
+    /// Takes in a tet of the ball; false where it was met before.
     #[inline]
-    pub fn meet(&mut self, tet: TetId) {
+    pub fn meet(&mut self, tet: TetId) -> bool {
         if self.ball.len() < SMALL_BALL {
             let mut at = tet.index() % BALL_SLOTS;
             while self.slots[at] != TetId::NONE {
                 if self.slots[at] == tet {
-                    return;
+                    return false;
                 }
                 at = (at + 1) % BALL_SLOTS;
             }
             self.slots[at] = tet;
             self.ball.push(tet);
-            return;
+            return true;
         }
         if self.seen.is_empty() {
             self.seen.extend(self.ball.iter().copied());
         }
-        if self.seen.insert(tet) {
+        let is_new = self.seen.insert(tet);
+        if is_new {
             self.ball.push(tet);
         }
+        is_new
     }
 }
 

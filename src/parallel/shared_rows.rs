@@ -62,8 +62,13 @@ macro_rules! shared_words {
             #[inline]
             pub fn load_row<const N: usize>(&self, first: usize) -> [$word; N] {
                 let row = &self.words[first..first + N];
-                // Relaxed: see the module's protocol.
-                std::array::from_fn(|i| row[i].load(Ordering::Relaxed))
+                // A loop, because closures over arrays are not inlined reliably and this is the hottest read of all.
+                let mut values = [0; N];
+                for i in 0..N {
+                    // Relaxed: see the module's protocol.
+                    values[i] = row[i].load(Ordering::Relaxed);
+                }
+                values
             }
 
             /// Writes `N` words from `first` on, one after the other.
