@@ -89,8 +89,31 @@ static void badInputIsAComponentStateAndTheSceneLivesOn()
     api::createObject(root, "CBC3DMeshFromImage", {{"name", "wrongSize"}, {"image", "1 1 1"}, {"dimensions", "2 2 2"}});
     api::createObject(root, "CDT3DMeshFromSurface", {{"name", "open"}, {"inputPoints", "0 0 0 1 0 0 0 1 0"}, {"inputTriangles", "0 1 2"}});
     api::createObject(root, "BiomechanicalRegistration", {{"name", "noScans"}});
+    const std::string ball = ballImage(12, 4.0);
+    // Values of the wrong type or out of range.
+    api::createObject(root, "CBC3DMeshFromImage", {{"name", "negativeSize"}, {"image", ball}, {"dimensions", "12 -12 12"}});
+    api::createObject(root, "CBC3DMeshFromImage", {{"name", "zeroSpacing"}, {"image", ball}, {"dimensions", "12 12 12"}, {"spacing", "1 0 1"}});
+    api::createObject(root, "CBC3DMeshFromImage", {{"name", "singular"}, {"image", ball}, {"dimensions", "12 12 12"},
+        {"imageToWorld", "1 0 0 0 1 0 0 0 0 0 1 0 0 0 0 1"}});
+    api::createObject(root, "CBC3DMeshFromImage", {{"name", "noLabels"}, {"image", "0 0 0 0 0 0 0 0"}, {"dimensions", "2 2 2"}});
+    api::createObject(root, "CBC3DMeshFromImage", {{"name", "negativeThreads"}, {"image", ball}, {"dimensions", "12 12 12"}, {"threads", "-3"}});
+    api::createObject(root, "CBC3DMeshFromImage", {{"name", "unknownParameter"}, {"image", ball}, {"dimensions", "12 12 12"}, {"parameters", "latice-spacing=3"}});
+    api::createObject(root, "CBC3DMeshFromImage", {{"name", "noAssignment"}, {"image", ball}, {"dimensions", "12 12 12"}, {"parameters", "fidelity"}});
+    api::createObject(root, "CDT3DMeshFromSurface", {{"name", "wildIndex"}, {"inputPoints", "0 0 0 1 0 0 0 1 0"}, {"inputTriangles", "0 1 99"}});
+    // A half-built scene: links to what is not there.
+    api::createObject(root, "CDT3DMeshFromSurface", {{"name", "deadLink"}, {"inputPoints", "@missing.position"}, {"inputTriangles", "@missing.triangles"}});
+    // A body on a mesher that made nothing.
+    auto body = api::createChild(root, "body");
+    api::createObject(body, "TetrahedronSetTopologyContainer", {{"name", "topology"}, {"position", "@../noInput.outputPoints"},
+        {"tetrahedra", "@../noInput.outputTetras"}});
+    api::createObject(body, "MechanicalObject", {{"name", "nodes"}, {"template", "Vec3"}});
+    // Text where a number belongs: SOFA says so and keeps the default, and the mesher runs.
+    api::createObject(root, "CBC3DMeshFromImage", {{"name", "wrongType"}, {"image", ball}, {"dimensions", "12 12 12"}, {"cellSize", "large"}});
     sofa::simulation::node::initRoot(root.get());
-    for (const char* name : {"noFile", "noInput", "wrongSize", "open", "noScans"})
+    expect(valueOf(root, "wrongType", "componentState") == "Valid", "text for a number leaves the default");
+    expect(body->getMeshTopology()->getNbTetrahedra() == 0, "a body on no mesh has no tetrahedra");
+    for (const char* name : {"noFile", "noInput", "wrongSize", "open", "noScans", "negativeSize", "zeroSpacing", "singular", "noLabels",
+                             "negativeThreads", "unknownParameter", "noAssignment", "wildIndex", "deadLink"})
     {
         expect(valueOf(root, name, "componentState") == "Invalid", std::string(name) + " is invalid");
         expect(valueOf(root, name, "outputPoints").empty(), std::string(name) + " has no points");
