@@ -117,50 +117,18 @@ unsafe impl Sync for BorrowedVoxels {}
 
 /// Runs `$body` with `$Type` standing for the type of `$kind`.
 macro_rules! with_type {
-    ($kind:expr, $Type:ident => $body:expr) => {
+    (@rows $kind:expr, $Type:ident => $body:expr; $($number:ident: $value:ty),*) => {
         match $kind {
-            MW_TYPE_U8 => {
-                type $Type = u8;
+            $($number => {
+                type $Type = $value;
                 $body
-            }
-            MW_TYPE_I8 => {
-                type $Type = i8;
-                $body
-            }
-            MW_TYPE_U16 => {
-                type $Type = u16;
-                $body
-            }
-            MW_TYPE_I16 => {
-                type $Type = i16;
-                $body
-            }
-            MW_TYPE_U32 => {
-                type $Type = u32;
-                $body
-            }
-            MW_TYPE_I32 => {
-                type $Type = i32;
-                $body
-            }
-            MW_TYPE_U64 => {
-                type $Type = u64;
-                $body
-            }
-            MW_TYPE_I64 => {
-                type $Type = i64;
-                $body
-            }
-            MW_TYPE_F32 => {
-                type $Type = f32;
-                $body
-            }
-            MW_TYPE_F64 => {
-                type $Type = f64;
-                $body
-            }
+            })*
             other => Err(unknown_type(other)),
         }
+    };
+    ($kind:expr, $Type:ident => $body:expr) => {
+        with_type!(@rows $kind, $Type => $body; MW_TYPE_U8: u8, MW_TYPE_I8: i8, MW_TYPE_U16: u16, MW_TYPE_I16: i16,
+            MW_TYPE_U32: u32, MW_TYPE_I32: i32, MW_TYPE_U64: u64, MW_TYPE_I64: i64, MW_TYPE_F32: f32, MW_TYPE_F64: f64)
     };
 }
 
@@ -170,19 +138,27 @@ fn unknown_type(number: mw_type) -> Error {
 
 /// A value that [`VoxelData`] has a vector for.
 trait Stored: VoxelValue {
+    /// Its MW_TYPE_ number.
+    const NUMBER: mw_type;
+
     fn wrap(values: Vec<Self>) -> VoxelData;
 }
 
 macro_rules! stored {
-    ($($type:ty: $variant:ident),*) => {$(
+    ($($number:ident: $type:ty, $variant:ident;)*) => {$(
         impl Stored for $type {
+            const NUMBER: mw_type = $number;
+
             fn wrap(values: Vec<Self>) -> VoxelData {
                 VoxelData::$variant(values)
             }
         }
     )*};
 }
-stored!(u8: U8, i8: I8, u16: U16, i16: I16, u32: U32, i32: I32, u64: U64, i64: I64, f32: F32, f64: F64);
+stored! {
+    MW_TYPE_U8: u8, U8; MW_TYPE_I8: i8, I8; MW_TYPE_U16: u16, U16; MW_TYPE_I16: i16, I16; MW_TYPE_U32: u32, U32;
+    MW_TYPE_I32: i32, I32; MW_TYPE_U64: u64, U64; MW_TYPE_I64: i64, I64; MW_TYPE_F32: f32, F32; MW_TYPE_F64: f64, F64;
+}
 
 impl BorrowedVoxels {
     /// Checks a description.
@@ -359,18 +335,10 @@ impl mw_image {
 }
 
 fn type_of(data: &VoxelData) -> mw_type {
-    match data {
-        VoxelData::U8(_) => MW_TYPE_U8,
-        VoxelData::I8(_) => MW_TYPE_I8,
-        VoxelData::U16(_) => MW_TYPE_U16,
-        VoxelData::I16(_) => MW_TYPE_I16,
-        VoxelData::U32(_) => MW_TYPE_U32,
-        VoxelData::I32(_) => MW_TYPE_I32,
-        VoxelData::U64(_) => MW_TYPE_U64,
-        VoxelData::I64(_) => MW_TYPE_I64,
-        VoxelData::F32(_) => MW_TYPE_F32,
-        VoxelData::F64(_) => MW_TYPE_F64,
+    fn number<T: Stored>(_: &[T]) -> mw_type {
+        T::NUMBER
     }
+    with_voxels!(data, values => number(values))
 }
 
 /// Makes an image of voxels in memory.
