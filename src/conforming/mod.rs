@@ -39,9 +39,12 @@ pub mod refinement;
 pub mod report;
 pub mod sliver_removal;
 pub mod smoothing;
+pub mod tet_prediction;
 pub mod vertex_insertion;
 pub mod volume_generation;
 
+#[cfg(test)]
+mod reconnection_stress_tests;
 #[cfg(test)]
 pub(crate) mod test_surfaces;
 #[cfg(test)]

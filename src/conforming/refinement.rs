@@ -14,7 +14,9 @@
 //! Constrained faces and edges stay; the mesh is valid after every step. One thread: the same bits every time.
 //!
 //! # Limits
-//! Element and memory limits end the rounds with [`Error::LimitReached`]; the mesh is valid as it stands.
+//! Where the prediction exceeds the element or memory limits, or what the allocator grants, nothing is done and the
+//! estimate is in the error. A mesh that grows beyond its prediction stops at the limit: it is valid, coarser than asked
+//! for, and a finding says so.
 
 use std::time::Instant;
 
@@ -27,11 +29,11 @@ use super::options::Options;
 use super::parallel_reconnection::{Driver, Insert};
 use super::point_filter::{Walk, interpolated_size, is_clear, walk};
 use super::point_placement::{Candidate, Placement, create_candidates};
+use super::tet_prediction::predicted_tets;
 use super::vertex_insertion::InsertionRule;
 use crate::context::RunContext;
-use crate::error::{Error, Result};
+use crate::error::{Error, Finding, FindingCode, Result, Severity};
 use crate::geometry::spatial_sort::hilbert_order;
-use crate::geometry::tetrahedron::volume;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::size_field::{SizeField, average_edges};
 use crate::mesh::tet_complex::TetComplex;
@@ -41,11 +43,6 @@ use crate::statistics::Statistics;
 /// Memory a tet is taken to need in a run with refinement and improvement, bytes: an estimate from the rows of the mesh,
 /// the sizes and the lists of a pass.
 pub const BYTES_PER_TET: f64 = 110.0;
-/// Volume of the regular tet over the cube of its edge.
-const REGULAR_VOLUME: f64 = 0.117_851_130_197_757_9;
-/// Average edge over size taken for a finished mesh, to predict the number of tets: an estimate, since points may stand
-/// closer or further apart than the size.
-const MEAN_STRETCH: f64 = 1.05;
 
 /// Figures of one round.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -60,6 +57,8 @@ pub struct Round {
     pub inserted: usize,
     /// Flips of both objectives.
     pub flips: FlipCounts,
+    /// Whether candidates were left out for want of room.
+    pub stopped: bool,
 }
 
 /// The boundary as triangles: every constrained face and every end of the mesh, once.
@@ -108,27 +107,11 @@ pub fn initial_sizes(complex: &TetComplex, field: &SizeField, factor: f64) -> Re
     sizes.iter().zip(points).map(|(size, point)| field.bounded(*point, factor * size)).collect()
 }
 
-/// How many tets the refinement will make, from the sizes at the corners of the present tets and the field inside.
-///
-/// # Errors
-/// As [`SizeField::bounded`].
-pub fn predicted_tets(complex: &TetComplex, sizes: &[f64], field: &SizeField) -> Result<f64> {
-    let mut total = 0.0;
-    for tet in complex.finite_tets().filter(|&t| !complex.label(t).is_background()) {
-        let corners = complex.points_of(tet);
-        let center = corners.iter().sum::<glam::DVec3>() / 4.0;
-        let average = complex.vertices(tet).map(|v| sizes[v.index()]).iter().sum::<f64>() / 4.0;
-        let size = MEAN_STRETCH * field.bounded_in(complex.label(tet), center, average)?;
-        total += volume(corners) / (REGULAR_VOLUME * size.powi(3));
-    }
-    Ok(total)
-}
-
 /// Refines the mesh and returns the figures; `sizes` has one entry per vertex and grows with them.
 ///
 /// # Errors
-/// [`Error::LimitReached`] where elements or memory would not suffice (predicted before the work, checked in every
-/// round); [`Error::Cancelled`]; those of the size field.
+/// [`Error::LimitReached`] or [`Error::OutOfMemory`] where elements or memory would not suffice, predicted before the
+/// work; [`Error::Cancelled`]; those of the size field.
 pub fn refine(
     complex: &mut TetComplex,
     sizes: &mut Vec<f64>,
@@ -138,8 +121,10 @@ pub fn refine(
 ) -> Result<Statistics> {
     let start = Instant::now();
     let mut figures = Statistics::default();
-    let predicted = predicted_tets(complex, sizes, field)?;
+    let predicted = predicted_tets(complex, sizes, field, options.growth_rate, context)?;
     check_limits(options, predicted, "predicted")?;
+    check_memory(predicted)?;
+    let limit = tet_limit(options);
     figures.set("refinement.predicted_tets", predicted);
     // One block at the start instead of growth by doubling, which holds old and new rows at once.
     complex.try_reserve_tets(options.reserved_elements.min((1.1 * predicted) as usize))?;
@@ -150,7 +135,9 @@ pub fn refine(
     let mut rounds = 0;
     while rounds < options.maximum_passes {
         context.check()?;
-        let round = refine_round(complex, sizes, field, options, context, &mut driver, &mut active, &mut unused)?;
+        let room = limit.saturating_sub(complex.live_count()) / TETS_PER_POINT;
+        let mut round =
+            refine_round(complex, sizes, field, options, context, &mut driver, &mut active, &mut unused, room)?;
         rounds += 1;
         total.created += round.created;
         total.filtered += round.filtered;
@@ -159,10 +146,14 @@ pub fn refine(
         record_round(&mut figures, rounds, &round);
         let done = complex.live_count() as f64 / predicted.max(1.0);
         context.progress("refinement", 0.15 + 0.5 * done.min(1.0));
+        if std::mem::take(&mut round.stopped) {
+            report_stop(complex, limit, context);
+            figures.set("refinement.stopped_at_limit", 1.0);
+            break;
+        }
         if round.inserted < options.minimum_points.max(1) {
             break;
         }
-        check_limits(options, complex.live_count() as f64, "made")?;
     }
     clear_marks(complex);
     driver.record(&mut figures, "refinement");
@@ -222,6 +213,40 @@ pub fn check_limits(options: &Options, tets: f64, what: &str) -> Result<()> {
     Ok(())
 }
 
+/// Tets that a new point adds at most, on average over a round.
+const TETS_PER_POINT: usize = 8;
+
+/// The most tets that options and numbering allow.
+fn tet_limit(options: &Options) -> usize {
+    let mut limit = crate::mesh::tet_complex::MAX_TETS;
+    if options.maximum_elements > 0 {
+        limit = limit.min(options.maximum_elements);
+    }
+    if options.maximum_memory_megabytes > 0.0 {
+        limit = limit.min((options.maximum_memory_megabytes * 1e6 / BYTES_PER_TET) as usize);
+    }
+    limit
+}
+
+/// Whether the allocator would grant what so many tets need: it refuses what the machine, or the limit set for the
+/// process, could never hold. No page of it is touched.
+fn check_memory(tets: f64) -> Result<()> {
+    let bytes = tets * BYTES_PER_TET;
+    let mut probe: Vec<u8> = Vec::new();
+    if bytes >= isize::MAX as f64 || probe.try_reserve_exact(bytes as usize).is_err() {
+        return Err(Error::OutOfMemory { what: "the predicted mesh", bytes: bytes as u64 });
+    }
+    Ok(())
+}
+
+fn report_stop(complex: &TetComplex, limit: usize, context: &RunContext) {
+    let text = format!(
+        "refinement stopped at {} elements, because at most {limit} are allowed: the mesh is valid but coarser than asked for",
+        complex.live_count()
+    );
+    context.report(Finding::new(FindingCode::Other, Severity::Warning, text));
+}
+
 fn clear_marks(complex: &mut TetComplex) {
     for tet in (0..complex.slot_count()).map(TetId::from_index) {
         if !complex.is_live(tet) {
@@ -242,6 +267,7 @@ fn refine_round(
     driver: &mut Driver,
     active: &mut Vec<TetId>,
     unused: &mut Vec<VertexId>,
+    room: usize,
 ) -> Result<Round> {
     if !options.group_active {
         active.clear();
@@ -262,6 +288,9 @@ fn refine_round(
     drop(candidates);
     round.filtered = accepted.len();
     rest_all_but(complex, active, accepted.iter().map(|a| a.origin));
+    let mut accepted = accepted;
+    round.stopped = accepted.len() > room;
+    accepted.truncate(room);
     let accepted = if options.sort_new_points { sorted_along_curve(accepted)? } else { accepted };
     let inserts = assign_vertices(complex, sizes, &accepted, unused)?;
     drop(accepted);

@@ -181,3 +181,20 @@ fn limits_end_a_run_with_or_without_refinement() {
         assert!(matches!(result, Err(crate::error::Error::LimitReached { .. })));
     }
 }
+
+#[test]
+fn a_mesh_that_outgrows_its_prediction_stops_at_the_limit() {
+    let surface = sphere(4);
+    let context = RunContext::with_threads(1).unwrap();
+    let free = Options { edge_satisfied_factor: 1.2, near_point_factor: 0.5, ..Options::default() };
+    let (whole, report) = run(&surface, None, &free, &context).unwrap();
+    let predicted = report.refinement.value("refinement.predicted_tets").unwrap();
+    let limit = predicted.ceil() as usize + 1;
+    assert!(whole.element_count() > limit + limit / 10, "{} of {predicted}", whole.element_count());
+    let limited = Options { maximum_elements: limit, ..free };
+    let (mesh, report) = run(&surface, None, &limited, &context).unwrap();
+    check_mixed_mesh(&mesh).unwrap();
+    assert_eq!(report.refinement.value("refinement.stopped_at_limit"), Some(1.0));
+    assert!(mesh.element_count() <= limit && mesh.element_count() > limit / 2);
+    assert!(context.take_findings().iter().any(|f| f.text.contains("stopped")));
+}
