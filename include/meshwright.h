@@ -1130,7 +1130,7 @@ MW_API mw_status mw_mesh_read(struct mw_context *context, const char *path, stru
  *
  * @param mesh     a mesh
  * @param path     file name, UTF-8; its ending decides the format: .vtu .vtk .msh .mesh .meshb .ugrid .b8.ugrid
- *                 .lb8.ugrid .su2, or a folder for OpenFOAM
+ *                 .lb8.ugrid .su2, or CASE/NAME.foam for an OpenFOAM case in the folder CASE
  * @param options  null, or settings as "key=value" with ';' between them: "format=" vtu, vtk42, vtk51, msh22, msh41,
  *                 medit, meditb, ugrid, b8.ugrid, lb8.ugrid, su2, openfoam; "encoding=" binary, ascii;
  *                 "compression=" none, zlib; "space=" lps, ras, none; "surfaces=" include, omit

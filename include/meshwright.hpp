@@ -48,8 +48,13 @@ private:
 
 namespace detail {
 
+/// The text of an error, which names its kind by itself; the kind alone where there is no text.
+inline std::string message(mw_status status, const std::string &text) {
+    return text.empty() ? mw_status_string(status) : text;
+}
+
 inline void check(mw_status status) {
-    if (status != MW_OK) throw Error(status, std::string(mw_status_string(status)) + ": " + mw_last_error());
+    if (status != MW_OK) throw Error(status, message(status, mw_last_error()));
 }
 
 template <class Handle, void (*destroy)(Handle *)>
@@ -375,7 +380,7 @@ public:
         const std::string text = mw_last_error();
         if (callback_->thrown) std::rethrow_exception(take(callback_->thrown));
         if (sizing_ && sizing_->thrown) std::rethrow_exception(take(sizing_->thrown));
-        if (status != MW_OK) throw Error(status, std::string(mw_status_string(status)) + ": " + text, findings());
+        if (status != MW_OK) throw Error(status, detail::message(status, text), findings());
     }
     /// From any thread.
     void cancel() noexcept { mw_job_cancel(get()); }

@@ -63,7 +63,7 @@ step rustdoc env RUSTDOCFLAGS="-D warnings" cargo doc --locked --no-deps --lib -
 
 step configure cmake -S . -B "$build" -DCMAKE_BUILD_TYPE=Release -DMESHWRIGHT_CARGO_TARGET_DIR="$CARGO_TARGET_DIR"
 step build cmake --build "$build" -j "$(nproc)"
-counted ctest read_ctest ctest --test-dir "$build" --output-on-failure --no-tests=error
+counted ctest read_ctest ctest --test-dir "$build" -j "$(nproc)" --output-on-failure --no-tests=error
 step abi scripts/check_abi.sh
 
 # Python programs that compare with SimpleITK, meshio, Gmsh and others; each is one check.

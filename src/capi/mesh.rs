@@ -411,7 +411,7 @@ pub unsafe extern "C" fn mw_mesh_read(
 ///
 /// @param mesh     a mesh
 /// @param path     file name, UTF-8; its ending decides the format: .vtu .vtk .msh .mesh .meshb .ugrid .b8.ugrid
-///                 .lb8.ugrid .su2, or a folder for OpenFOAM
+///                 .lb8.ugrid .su2, or CASE/NAME.foam for an OpenFOAM case in the folder CASE
 /// @param options  null, or settings as "key=value" with ';' between them: "format=" vtu, vtk42, vtk51, msh22, msh41,
 ///                 medit, meditb, ugrid, b8.ugrid, lb8.ugrid, su2, openfoam; "encoding=" binary, ascii;
 ///                 "compression=" none, zlib; "space=" lps, ras, none; "surfaces=" include, omit
