@@ -45,6 +45,12 @@ struct CavityFilling {
     points: Vec<DVec3>,
     /// Whether an edge meets a face, by both packed.
     meetings: FxHashMap<u32, bool>,
+    /// The faces at the start, and their edges.
+    start: (Vec<Face>, Vec<[u8; 2]>),
+    /// Whether an edge is clear of the faces at the start, by its two vertices.
+    clear_edges: Vec<Option<bool>>,
+    /// Whether a face is clear of the edges at the start, by its vertices packed.
+    clear_faces: FxHashMap<u32, bool>,
     steps_left: usize,
     tets: Vec<[u8; 4]>,
 }
@@ -54,6 +60,8 @@ struct FrontFace {
     /// Smallest vertex first, turned so that a positive tet lies on it.
     face: Face,
     candidates: u64,
+    /// Whether it was placed by a step: then the tests against the start do not cover it.
+    is_new: bool,
 }
 
 /// Fills the polyhedron bounded by `front` (a tet `(a, b, c, apex)` on each face is positive), containing every face of
@@ -95,9 +103,22 @@ pub fn fill_cavity(
             faces.extend([face, mirrored(face)]);
         }
     }
-    let mut filling =
-        CavityFilling { ids: ids.clone(), points, meetings: FxHashMap::default(), steps_left: 0, tets: Vec::new() };
-    let mut start: Vec<FrontFace> = faces.iter().map(|&face| FrontFace { face, candidates: 0 }).collect();
+    let mut edges: Vec<[u8; 2]> = faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect();
+    edges.iter_mut().for_each(|edge| edge.sort_unstable());
+    edges.sort_unstable();
+    edges.dedup();
+    let mut filling = CavityFilling {
+        ids: ids.clone(),
+        points,
+        meetings: FxHashMap::default(),
+        start: (faces.clone(), edges),
+        clear_edges: vec![None; ids.len() * ids.len()],
+        clear_faces: FxHashMap::default(),
+        steps_left: 0,
+        tets: Vec::new(),
+    };
+    let mut start: Vec<FrontFace> =
+        faces.iter().map(|&face| FrontFace { face, candidates: 0, is_new: false }).collect();
     for i in 0..start.len() {
         start[i].candidates = filling.all_candidates(start[i].face, &start);
         if start[i].candidates == 0 {
@@ -135,7 +156,7 @@ fn other_faces([i, j, k]: Face, v: u8) -> [Face; 3] {
 impl CavityFilling {
     fn search(&mut self, front: &[FrontFace]) -> bool {
         let Some(position) = (0..front.len()).min_by_key(|&i| front[i].candidates.count_ones()) else { return true };
-        let FrontFace { face, candidates } = front[position];
+        let FrontFace { face, candidates, .. } = front[position];
         for apex in self.ordered(face, candidates, front) {
             if self.steps_left == 0 {
                 return false;
@@ -198,7 +219,7 @@ impl CavityFilling {
                 return None;
             }
         }
-        next.extend(added.iter().map(|&face| FrontFace { face, candidates: 0 }));
+        next.extend(added.iter().map(|&face| FrontFace { face, candidates: 0, is_new: true }));
         for i in next.len() - added.len()..next.len() {
             next[i].candidates = self.all_candidates(next[i].face, &next);
             if next[i].candidates == 0 {
@@ -215,11 +236,48 @@ impl CavityFilling {
             if face.contains(&v) || orient3d(a, b, c, self.points[v as usize]) <= 0.0 {
                 continue;
             }
-            if front.iter().all(|g| self.is_clear_of(face, v, g.face)) {
+            if self.is_clear_of_start(face, v)
+                && front.iter().filter(|g| g.is_new).all(|g| self.is_clear_of(face, v, g.face))
+            {
                 mask |= 1 << v;
             }
         }
         mask
+    }
+
+    /// Whether the new edges and faces of the tet on `face` keep clear of all faces at the start.
+    fn is_clear_of_start(&mut self, [x, y, z]: Face, v: u8) -> bool {
+        [x, y, z].iter().all(|&u| self.is_edge_clear(u, v))
+            && [[x, y, v], [y, z, v], [z, x, v]].into_iter().all(|triangle| self.is_face_clear(triangle))
+    }
+
+    fn is_edge_clear(&mut self, u: u8, v: u8) -> bool {
+        let slot = usize::from(u.min(v)) * self.ids.len() + usize::from(u.max(v));
+        if let Some(clear) = self.clear_edges[slot] {
+            return clear;
+        }
+        let at = |v: u8| self.points[usize::from(v)];
+        let (p, q) = (at(u), at(v));
+        let meets = |f: &Face| !f.contains(&u) && !f.contains(&v) && segment_meets_triangle(p, q, f.map(at));
+        let clear = !self.start.0.iter().any(meets);
+        self.clear_edges[slot] = Some(clear);
+        clear
+    }
+
+    fn is_face_clear(&mut self, mut face: Face) -> bool {
+        face.sort_unstable();
+        let key = face.iter().fold(0_u32, |key, &v| key << 6 | u32::from(v));
+        if let Some(&clear) = self.clear_faces.get(&key) {
+            return clear;
+        }
+        let at = |v: u8| self.points[usize::from(v)];
+        let corners = face.map(at);
+        let meets = |[p, q]: &[u8; 2]| {
+            !face.contains(p) && !face.contains(q) && segment_meets_triangle(at(*p), at(*q), corners)
+        };
+        let clear = !self.start.1.iter().any(meets);
+        self.clear_faces.insert(key, clear);
+        clear
     }
 
     /// Whether the new edges and faces of the tet on `face` keep clear of a front face, apart from shared vertices.

@@ -55,10 +55,14 @@ pub struct ConstrainedMesh {
     pub wings: FxHashMap<EdgeKey, Vec<VertexId>>,
     /// Steiner points on the surface in the order of their insertion.
     pub splits: Vec<(VertexId, Split)>,
+    /// Steiner points in the volume.
+    pub volume_points: Vec<VertexId>,
     /// Reconnections committed.
     pub reconnections: usize,
     /// Cavities searched, and filled.
     pub cavities: [usize; 2],
+    /// Whether reconnections keep subfaces; while edges are recovered only segments are kept.
+    pub keeps_faces: bool,
     ball: Vec<TetId>,
 }
 
@@ -159,7 +163,7 @@ impl ConstrainedMesh {
     /// Whether the side lies on a subface.
     #[inline]
     pub fn is_subface(&self, side: TetFace) -> bool {
-        self.subfaces.contains_key(&face_key(self.complex.face_vertices(side)))
+        self.keeps_faces && self.subfaces.contains_key(&face_key(self.complex.face_vertices(side)))
     }
 
     /// The tets at a vertex.
@@ -179,6 +183,13 @@ impl ConstrainedMesh {
     /// A side with these vertices.
     pub fn find_face(&mut self, face: FaceKey) -> Option<TetFace> {
         find_face(&self.complex, face, &mut self.ball)
+    }
+
+    /// The tet with these vertices.
+    pub fn find_tet(&mut self, row: [VertexId; 4]) -> Option<TetId> {
+        collect_ball(&self.complex, row[0], self.complex.tet_of(row[0]).some()?, &mut self.ball);
+        let has_all = |tet: &TetId| row.iter().all(|&v| self.complex.local_vertex(*tet, v).is_some());
+        self.ball.iter().copied().find(has_all)
     }
 
     /// The segments that the mesh lacks, ascending.

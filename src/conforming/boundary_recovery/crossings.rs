@@ -3,7 +3,8 @@
 //! # Method
 //! 1. An edge a b is crossed by the tets whose closed faces the open segment meets: they are collected from the balls of
 //!    its ends over the faces it meets, with exact tests. A segment through an edge of the mesh collects its whole shell.
-//! 2. A face whose edges exist is crossed by the tets around the edges of the mesh that pierce it: a tet that meets the
+//! 2. The same way as a sequence of faces and edges (`trace`): its length measures how far an edge is from being there.
+//! 3. A face whose edges exist is crossed by the tets around the edges of the mesh that pierce it: a tet that meets the
 //!    inside of the face has such an edge, as the face's border meets no tet. They are collected from the shell of one
 //!    edge of the face.
 //!
@@ -17,6 +18,7 @@ use crate::geometry::intersection::{segment_meets_triangle, segment_pierces_tria
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::{TET_EDGES, TET_FACES};
 use crate::mesh::tet_store::TetStore;
+use crate::mesh::topology::{ShellTet, collect_shell};
 
 /// Crossed tets beyond which a search gives up: such an edge is split instead.
 const MOST_TETS: usize = 20_000;
@@ -75,6 +77,107 @@ pub fn tets_along(mesh: &ConstrainedMesh, a: VertexId, b: VertexId) -> Option<Ve
         }
     }
     Some(found)
+}
+
+/// One thing that the open segment between two vertices passes through.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Crossing {
+    /// The inside of a face.
+    Face(TetFace),
+    /// The inside of an edge, from vertex to vertex; a tet that has it.
+    Edge(TetId, [VertexId; 2]),
+    /// A vertex.
+    Vertex(VertexId),
+}
+
+/// The way of a segment through the mesh.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Path {
+    /// The mesh has the edge.
+    Present,
+    /// What it passes through, in order.
+    Through(Vec<Crossing>),
+}
+
+impl Path {
+    /// Things passed through.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Present => 0,
+            Self::Through(crossings) => crossings.len(),
+        }
+    }
+}
+
+/// Follows the open segment a b from feature to feature; `None` where the walk loses its way.
+pub fn trace(mesh: &ConstrainedMesh, a: VertexId, b: VertexId) -> Option<Path> {
+    let mut found = Vec::new();
+    let mut candidates = mesh.ball(a);
+    let mut entry: Vec<VertexId> = vec![a];
+    if candidates.iter().any(|&tet| mesh.complex.local_vertex(tet, b).is_some()) {
+        return Some(Path::Present);
+    }
+    loop {
+        let crossing = candidates.iter().find_map(|&tet| exit_of(mesh, tet, [a, b], &entry))?;
+        found.push(crossing);
+        if found.len() > MOST_TETS {
+            return None;
+        }
+        match crossing {
+            Crossing::Face(side) => {
+                entry = mesh.complex.face_vertices(side).to_vec();
+                candidates = vec![mesh.complex.neighbor(side).tet()];
+            }
+            Crossing::Edge(tet, [u, v]) => {
+                entry = vec![u, v];
+                let place = |w| mesh.complex.local_vertex(tet, w);
+                let start = ShellTet::new(tet, place(u)?, place(v)?);
+                let mut shell = Vec::new();
+                collect_shell(&mesh.complex, start, MOST_TETS, &mut shell);
+                candidates = shell.iter().map(|s| s.tet).collect();
+            }
+            Crossing::Vertex(v) => {
+                entry = vec![v];
+                candidates = mesh.ball(v);
+            }
+        }
+        if candidates.iter().any(|&tet| mesh.complex.local_vertex(tet, b).is_some()) {
+            return Some(Path::Through(found));
+        }
+    }
+}
+
+/// Where the segment leaves a tet that it enters through the vertices of `entry`; `None` where it does not pass.
+fn exit_of(mesh: &ConstrainedMesh, tet: TetId, [a, b]: [VertexId; 2], entry: &[VertexId]) -> Option<Crossing> {
+    let v = mesh.complex.vertices(tet);
+    if v.iter().any(|v| v.is_ghost()) {
+        return None;
+    }
+    for (face, corners) in TET_FACES.iter().enumerate() {
+        let [x, y, z] = corners.map(|i| v[i]);
+        if entry.iter().all(|e| [x, y, z].contains(e)) {
+            continue;
+        }
+        // The segment has to leave through the face: a inside of its plane, b outside.
+        if mesh.orient([x, y, z, b]) <= 0.0 || mesh.orient([x, y, z, a]) >= 0.0 {
+            continue;
+        }
+        let signs = [[x, y], [y, z], [z, x]].map(|[s, t]| mesh.orient([a, b, s, t]));
+        if signs.iter().any(|s| *s > 0.0) && signs.iter().any(|s| *s < 0.0) {
+            continue;
+        }
+        let side = TetFace::new(tet, face);
+        return Some(match signs.map(|s| s == 0.0) {
+            [false, false, false] => Crossing::Face(side),
+            [true, false, false] => Crossing::Edge(tet, [x, y]),
+            [false, true, false] => Crossing::Edge(tet, [y, z]),
+            [false, false, true] => Crossing::Edge(tet, [z, x]),
+            [true, true, _] => Crossing::Vertex(y),
+            [_, true, true] => Crossing::Vertex(z),
+            [true, _, true] => Crossing::Vertex(x),
+        });
+    }
+    None
 }
 
 /// What crosses a face whose edges the mesh has.

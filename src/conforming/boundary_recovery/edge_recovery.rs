@@ -15,13 +15,14 @@
 use super::Effort;
 use super::cavity_filling::fill_cavity;
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, edge_key};
-use super::crossings::tets_along;
-use super::edge_removal::{plan_flip_23, plan_removal, remove_edge};
+use super::crossings::{Crossing, Path, tets_along, trace};
+use super::edge_removal::{Journal, Plan, plan_flip_23, remove_edge};
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::geometry::intersection::segment_meets_triangle;
 use crate::geometry::segment::squared_distance;
 use crate::index::{TetFace, TetId, VertexId};
+use crate::mesh::numbering::TET_FACES;
 use crate::mesh::tet_store::TetStore;
 
 /// Recovers what can be recovered of `missing` with one effort; returns what is still missing.
@@ -56,37 +57,47 @@ pub fn recover_edges(
 /// # Errors
 /// Those of tet creation.
 pub fn recover_edge(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey, effort: &Effort) -> Result<bool> {
-    let Some(mut tets) = tets_along(mesh, a, b) else { return Ok(true) };
-    let (mut budget, mut tries) = (effort.budget, effort.tries);
-    loop {
-        if tets.is_empty() {
-            return Ok(false);
-        }
+    let mut tries = effort.tries;
+    let Some(mut path) = trace(mesh, a, b) else { return Ok(false) };
+    if path == Path::Present {
+        return Ok(true);
+    }
+    let mut budget = effort.budget;
+    if effort.depth == 0 {
+        // Most missing edges cross few tets, and a search finds what no sequence of flips does.
+        let Some(tets) = tets_along(mesh, a, b) else { return Ok(true) };
         if tets.len() <= effort.tets && fill_with_edge(mesh, &tets, [a, b], effort.steps, &mut budget)? {
             return Ok(true);
         }
-        match shorten(mesh, [a, b], tets.len(), effort, &mut tries)? {
-            None => return Ok(true),
-            Some(shorter) if shorter.len() < tets.len() => tets = shorter,
-            Some(same) => {
-                tets = same;
-                break;
-            }
+    }
+    while let Path::Through(crossings) = &path {
+        match shorten(mesh, [a, b], crossings.len(), effort, &mut tries)? {
+            Some(shorter) => path = shorter,
+            None => break,
         }
     }
-    if !effort.grow || tets.is_empty() || tets.len() > effort.tets {
+    if path == Path::Present {
+        return Ok(true);
+    }
+    let Some(tets) = tets_along(mesh, a, b) else { return Ok(true) };
+    if tets.is_empty() || tets.len() > effort.tets {
         return Ok(false);
     }
-    for grown in grown_cavities(mesh, &tets, effort.tets) {
-        if fill_with_edge(mesh, &grown, [a, b], effort.steps, &mut budget)? {
-            return Ok(true);
+    if fill_with_edge(mesh, &tets, [a, b], effort.steps, &mut budget)? {
+        return Ok(true);
+    }
+    if effort.grow {
+        for grown in grown_cavities(mesh, &tets, effort.tets) {
+            if fill_with_edge(mesh, &grown, [a, b], effort.steps, &mut budget)? {
+                return Ok(true);
+            }
         }
     }
     Ok(false)
 }
 
 /// Fills the union of `tets` so that it contains the edge.
-fn fill_with_edge(
+pub fn fill_with_edge(
     mesh: &mut ConstrainedMesh,
     tets: &[TetId],
     [a, b]: EdgeKey,
@@ -135,70 +146,63 @@ pub fn contains_edges(tets: &[[VertexId; 4]], edges: &[EdgeKey]) -> bool {
     edges.iter().all(|edge| tets.iter().any(|tet| edge.iter().all(|v| tet.contains(v))))
 }
 
-/// Commits a change; keeps it where fewer tets are crossed (`Some(None)`: the edge is there) and takes it back otherwise.
-fn tried(
-    mesh: &mut ConstrainedMesh,
-    [a, b]: EdgeKey,
-    old: &[TetId],
-    new: &[[VertexId; 4]],
-    count: usize,
-) -> Result<Option<Option<Vec<TetId>>>> {
-    let rows: Vec<[VertexId; 4]> = old.iter().map(|&t| mesh.complex.vertices(t)).collect();
-    let Some(ids) = mesh.replace(old, new)? else { return Ok(None) };
-    match tets_along(mesh, a, b) {
-        None => Ok(Some(None)),
-        Some(tets) if !tets.is_empty() && tets.len() < count => Ok(Some(Some(tets))),
-        Some(_) => {
-            mesh.replace(&ids, &rows)?;
-            Ok(None)
-        }
-    }
-}
-
-/// Removes one crossed face or edge so that fewer than `count` tets are crossed; `None` where the edge appeared.
+/// Removes a crossed face or edge so that fewer than `count` things are crossed; `None` (and no change) where none can be.
 fn shorten(
     mesh: &mut ConstrainedMesh,
     [a, b]: EdgeKey,
     count: usize,
     effort: &Effort,
     tries: &mut usize,
-) -> Result<Option<Vec<TetId>>> {
-    let Some(tets) = tets_along(mesh, a, b) else { return Ok(None) };
-    let mut faces: Vec<[VertexId; 3]> = Vec::new();
-    for &tet in &tets {
-        for face in 0..4 {
-            let side = TetFace::new(tet, face);
-            let other = mesh.complex.neighbor(side);
-            if other != TetFace::NONE && side.0 < other.0 && tets.contains(&other.tet()) {
-                faces.push(mesh.complex.face_vertices(side));
+) -> Result<Option<Path>> {
+    let mut journal = Journal::default();
+    for position in 0..count {
+        // Anew each time: an attempt that was taken back has other tet ids.
+        let Some(Path::Through(crossings)) = trace(mesh, a, b) else { return Ok(None) };
+        let Some(&crossing) = crossings.get(position) else { return Ok(None) };
+        for attempt in attempts_at(mesh, crossing) {
+            let changed = match attempt {
+                Attempt::Flip(plan) => journal.commit(mesh, &plan)?,
+                Attempt::Remove(edge) => remove_edge(mesh, edge, effort.reach(Some([a, b])), tries, &mut journal)?,
+            };
+            if !changed {
+                continue;
+            }
+            match trace(mesh, a, b) {
+                Some(path) if path.len() < count => return Ok(Some(path)),
+                _ => journal.take_back(mesh, 0)?,
             }
         }
     }
-    let mut edges: Vec<EdgeKey> =
-        faces.iter().flat_map(|&[x, y, z]| [edge_key(x, y), edge_key(y, z), edge_key(x, z)]).collect();
-    edges.sort_unstable();
-    edges.dedup();
-    for face in faces {
-        let Some(side) = mesh.find_face(super::constrained_mesh::face_key(face)) else { continue };
-        let Some(plan) = plan_flip_23(mesh, side) else { continue };
-        if let Some(result) = tried(mesh, [a, b], &plan.old, &plan.new, count)? {
-            return Ok(result);
-        }
+    Ok(None)
+}
+
+/// One way to get rid of a crossing.
+enum Attempt {
+    Flip(Plan),
+    Remove(EdgeKey),
+}
+
+/// The 2-3 flip of a crossed face, or the removal of the edges that stand in its way; the removal of a crossed edge.
+fn attempts_at(mesh: &ConstrainedMesh, crossing: Crossing) -> Vec<Attempt> {
+    let side = match crossing {
+        Crossing::Edge(_, [u, v]) => return vec![Attempt::Remove(edge_key(u, v))],
+        Crossing::Vertex(_) => return Vec::new(),
+        Crossing::Face(side) => side,
+    };
+    let mut attempts = Vec::new();
+    if let Some(plan) = plan_flip_23(mesh, side) {
+        attempts.push(Attempt::Flip(plan));
     }
-    for [u, v] in edges {
-        if let Some(plan) = plan_removal(mesh, u, v, effort.ring) {
-            if let Some(result) = tried(mesh, [a, b], &plan.old, &plan.new, count)? {
-                return Ok(result);
-            }
-        } else if effort.depth > 0 && *tries > 0 && remove_edge(mesh, [u, v], effort.depth, effort.ring, tries)? {
-            match tets_along(mesh, a, b) {
-                None => return Ok(None),
-                Some(shorter) if !shorter.is_empty() && shorter.len() < count => return Ok(Some(shorter)),
-                Some(_) => {}
-            }
-        }
+    let any = !attempts.is_empty();
+    let (p, q) = (mesh.complex.apex(side), mesh.complex.apex(mesh.complex.neighbor(side)));
+    let v = mesh.complex.vertices(side.tet());
+    if q.is_ghost() {
+        return Vec::new();
     }
-    Ok(tets_along(mesh, a, b))
+    let [x, y, z] = TET_FACES[side.face()].map(|i| v[i]);
+    let edges = [[x, y], [y, z], [z, x]].into_iter().filter(|&[s, t]| any || mesh.orient([p, q, s, t]) <= 0.0);
+    attempts.extend(edges.map(|[s, t]| Attempt::Remove(edge_key(s, t))));
+    attempts
 }
 
 /// The union with one more neighbour each, then with all of them, as far as `limit` allows.

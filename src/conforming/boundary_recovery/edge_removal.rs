@@ -13,8 +13,9 @@
 //! [GeorgeBorouchaki2003] and [Shewchuk2002] for the removal over triangulations of the ring; [Drakopoulos2017] 4.5.3 for
 //! the recursive form.
 
-use super::constrained_mesh::{ConstrainedMesh, edge_key};
+use super::constrained_mesh::ConstrainedMesh;
 use crate::error::Result;
+use crate::geometry::intersection::segment_meets_triangle;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_FACES;
 use crate::mesh::tet_store::TetStore;
@@ -66,33 +67,69 @@ pub fn plan_removal(mesh: &ConstrainedMesh, u: VertexId, v: VertexId, limit: usi
         return None;
     }
     let (old, ring) = ring_of(mesh, u, v, limit)?;
+    plan_ring([u, v], mesh, &old, &ring, None)
+}
+
+/// Where a span of the ring is cut, and what that costs.
+#[derive(Clone, Copy)]
+struct Cut {
+    /// New faces that the aim's segment meets.
+    met: u32,
+    /// Worst shape.
+    shape: f64,
+    middle: usize,
+}
+
+/// The triangulation of the ring whose tets are all positive, with the fewest faces that the segment `aim` meets, and
+/// then the best worst tet.
+fn plan_ring(
+    [u, v]: [VertexId; 2],
+    mesh: &ConstrainedMesh,
+    old: &[TetId],
+    ring: &[VertexId],
+    aim: Option<[VertexId; 2]>,
+) -> Option<Plan> {
     let n = ring.len();
     if n < 3 {
         return None;
     }
-    let pair = |i: usize, j: usize, k: usize| {
-        let (p, q, r) = (ring[i], ring[j], ring[k]);
-        shape(mesh, [p, q, r, v]).min(shape(mesh, [p, r, q, u]))
+    let met = |face: [VertexId; 3]| {
+        aim.is_some_and(|[a, b]| {
+            let free = !face.contains(&a) && !face.contains(&b);
+            free && segment_meets_triangle(mesh.at(a), mesh.at(b), face.map(|v| mesh.at(v)))
+        }) as u32
     };
-    // best[i * n + k]: worst shape of the best triangulation of p_i ... p_k, and its middle vertex.
-    let mut best = vec![(f64::INFINITY, 0_usize); n * n];
+    let none = Cut { met: u32::MAX, shape: 0.0, middle: usize::MAX };
+    // best[i * n + k]: the best triangulation of p_i ... p_k.
+    let mut best = vec![Cut { met: 0, shape: f64::INFINITY, middle: 0 }; n * n];
     for length in 2..n {
         for i in 0..n - length {
             let k = i + length;
-            let mut found = (0.0, usize::MAX);
+            let mut found = none;
             for j in i + 1..k {
-                let sides = best[i * n + j].0.min(best[j * n + k].0);
-                if sides > found.0 {
-                    let worst = sides.min(pair(i, j, k));
-                    if worst > found.0 {
-                        found = (worst, j);
-                    }
+                let (left, right) = (best[i * n + j], best[j * n + k]);
+                let sides = left.shape.min(right.shape);
+                let before = left.met.saturating_add(right.met);
+                if sides <= 0.0 || before > found.met || (before == found.met && sides <= found.shape) {
+                    continue;
                 }
+                let (p, q, r) = (ring[i], ring[j], ring[k]);
+                let mut worst = sides.min(shape(mesh, [p, q, r, v]));
+                if worst > 0.0 {
+                    worst = worst.min(shape(mesh, [p, r, q, u]));
+                }
+                let total = before + if worst > 0.0 { met([p, q, r]) } else { 0 };
+                if worst > 0.0 && (total < found.met || (total == found.met && worst > found.shape)) {
+                    found = Cut { met: total, shape: worst, middle: j };
+                }
+            }
+            if found.shape > 0.0 && length < n - 1 {
+                found.met += met([ring[i], ring[k], u]) + met([ring[i], ring[k], v]);
             }
             best[i * n + k] = found;
         }
     }
-    if best[n - 1].0 <= 0.0 {
+    if best[n - 1].shape <= 0.0 {
         return None;
     }
     let mut new = Vec::with_capacity(2 * n - 4);
@@ -101,12 +138,12 @@ pub fn plan_removal(mesh: &ConstrainedMesh, u: VertexId, v: VertexId, limit: usi
         if k - i < 2 {
             continue;
         }
-        let j = best[i * n + k].1;
+        let j = best[i * n + k].middle;
         let (p, q, r) = (ring[i], ring[j], ring[k]);
         new.extend([[p, q, r, v], [p, r, q, u]]);
         stack.extend([(i, j), (j, k)]);
     }
-    Some(Plan { old, new })
+    Some(Plan { old: old.to_vec(), new })
 }
 
 /// The 2-3 flip of a side, or `None` where the face is a constraint or the flip is not valid.
@@ -128,47 +165,140 @@ pub fn plan_flip_23(mesh: &ConstrainedMesh, side: TetFace) -> Option<Plan> {
     Some(Plan { old: vec![side.tet(), other.tet()], new })
 }
 
-/// Removes the edge u v, if need be after removing up to `depth` levels of edges at its ends. `tries` bounds the work.
+/// Changes that may be taken back: of each the rows of the old tets, and the new tets.
+#[derive(Debug, Default)]
+pub struct Journal(Vec<(Vec<[VertexId; 4]>, Vec<TetId>)>);
+
+impl Journal {
+    /// Commits a plan and notes it; false where it is not valid.
+    ///
+    /// # Errors
+    /// As [`TetStore::create_tet`].
+    pub fn commit(&mut self, mesh: &mut ConstrainedMesh, plan: &Plan) -> Result<bool> {
+        let old: Vec<[VertexId; 4]> = plan.old.iter().map(|&t| mesh.complex.vertices(t)).collect();
+        let Some(ids) = mesh.replace(&plan.old, &plan.new)? else { return Ok(false) };
+        self.0.push((old, ids));
+        Ok(true)
+    }
+
+    /// Changes noted so far.
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Takes back all changes after the first `length`. Slots are given out last freed first: in reverse order the old
+    /// tets get their old ids, so that what was noted earlier stays valid.
+    ///
+    /// # Errors
+    /// As [`TetStore::create_tet`].
+    pub fn take_back(&mut self, mesh: &mut ConstrainedMesh, length: usize) -> Result<()> {
+        while self.0.len() > length
+            && let Some((mut rows, mut ids)) = self.0.pop()
+        {
+            rows.reverse();
+            ids.reverse();
+            mesh.replace(&ids, &rows)?;
+        }
+        Ok(())
+    }
+}
+
+/// How far the recursion of an edge removal may go.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reach {
+    /// Levels of edges removed to make room.
+    pub depth: usize,
+    /// Most tets around an edge.
+    pub ring: usize,
+    /// A segment that new faces should keep clear of.
+    pub aim: Option<[VertexId; 2]>,
+}
+
+/// Removes the edge u v, if need be after removing up to `depth` levels of edges at its ends, with backtracking. `tries`
+/// bounds the edges looked at. Where that fails, the mesh is as it was.
 ///
 /// # Errors
 /// As [`TetStore::create_tet`].
 pub fn remove_edge(
     mesh: &mut ConstrainedMesh,
-    [u, v]: [VertexId; 2],
-    depth: usize,
-    limit: usize,
+    edge: [VertexId; 2],
+    reach: Reach,
     tries: &mut usize,
+    journal: &mut Journal,
 ) -> Result<bool> {
-    if mesh.is_segment(u, v) {
-        return Ok(false);
+    Removal { reach, tries, journal, open: Vec::new(), ball: Vec::new() }.remove(mesh, edge)
+}
+
+/// One recursive removal.
+struct Removal<'a> {
+    reach: Reach,
+    tries: &'a mut usize,
+    journal: &'a mut Journal,
+    /// Edges whose removal is under way, outermost first.
+    open: Vec<[VertexId; 2]>,
+    ball: Vec<TetId>,
+}
+
+impl Removal<'_> {
+    fn remove(&mut self, mesh: &mut ConstrainedMesh, [u, v]: [VertexId; 2]) -> Result<bool> {
+        if mesh.is_segment(u, v) {
+            return Ok(false);
+        }
+        match find_edge(&mesh.complex, u, v, &mut self.ball) {
+            Some(start) => self.remove_at(mesh, start),
+            None => Ok(true),
+        }
     }
-    loop {
-        if let Some(plan) = plan_removal(mesh, u, v, limit) {
-            return Ok(mesh.replace(&plan.old, &plan.new)?.is_some());
-        }
-        if depth == 0 || *tries == 0 {
+
+    fn remove_at(&mut self, mesh: &mut ConstrainedMesh, start: ShellTet) -> Result<bool> {
+        let row = mesh.complex.vertices(start.tet);
+        let (u, v) = (row[start.a], row[start.b]);
+        let Some((old, ring)) = ring_from(mesh, start, self.reach.ring) else { return Ok(false) };
+        // The shells of nested removals share no tets but the two at the spoke: that ends the recursion early, where it
+        // would only turn in a circle.
+        let rows = old.iter().map(|&tet| mesh.complex.vertices(tet));
+        let taken = |row: &[VertexId; 4]| self.open.iter().any(|edge| edge.iter().all(|v| row.contains(v)));
+        if rows.filter(taken).count() > 2 {
             return Ok(false);
         }
-        let Some((_, ring)) = ring_of(mesh, u, v, 4 * limit) else { return Ok(!mesh.has_edge(u, v)) };
-        let mut shortened = false;
-        'ring: for &p in &ring {
-            for end in [u, v] {
-                if *tries == 0 {
-                    break 'ring;
-                }
-                *tries -= 1;
-                let key = edge_key(end, p);
-                if !mesh.is_segment(end, p) && remove_edge(mesh, key, depth - 1, limit, tries)? {
-                    shortened = true;
-                    break 'ring;
-                }
+        if let Some(plan) = plan_ring([u, v], mesh, &old, &ring, self.reach.aim) {
+            return self.journal.commit(mesh, &plan);
+        }
+        if self.open.len() >= self.reach.depth {
+            return Ok(false);
+        }
+        let n = ring.len();
+        for i in 0..n {
+            let [before, p, after] = [ring[(i + n - 1) % n], ring[i], ring[(i + 1) % n]];
+            // The ring could do without p but for an edge from p to an end that is in the way.
+            let at_v = mesh.orient([before, p, after, v]) <= 0.0;
+            let at_u = mesh.orient([before, after, p, u]) <= 0.0;
+            let end = match (at_u, at_v) {
+                (true, false) => u,
+                (false, true) => v,
+                _ => continue,
+            };
+            if *self.tries == 0 {
+                break;
             }
+            if mesh.is_segment(end, p) {
+                continue;
+            }
+            *self.tries -= 1;
+            let mark = self.journal.len();
+            let place = |w| mesh.complex.local_vertex(old[i], w);
+            let (Some(from), Some(to)) = (place(end), place(p)) else { continue };
+            self.open.push([u, v]);
+            let removed = self.remove_at(mesh, ShellTet::new(old[i], from, to));
+            self.open.pop();
+            if !removed? {
+                continue;
+            }
+            if self.remove(mesh, [u, v])? {
+                return Ok(true);
+            }
+            self.journal.take_back(mesh, mark)?;
         }
-        if !shortened {
-            return Ok(false);
-        }
-        if !mesh.has_edge(u, v) {
-            return Ok(true);
-        }
+        Ok(false)
     }
 }

@@ -16,11 +16,10 @@ use super::cavity_filling::fill_cavity;
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey, edge_key};
 use super::crossings::{FaceCrossing, tets_across};
 use super::edge_recovery::{contains_edges, grown_cavities};
-use super::edge_removal::{plan_removal, remove_edge};
+use super::edge_removal::{Journal, remove_edge};
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::{TetId, VertexId};
-use crate::mesh::tet_store::TetStore;
 
 /// Recovers what can be recovered of `missing` with one effort; returns what is still missing.
 ///
@@ -98,21 +97,15 @@ fn remove_piercing(
     tries: &mut usize,
 ) -> Result<Option<FaceCrossing>> {
     let count = crossing.edges.len();
+    let mut journal = Journal::default();
     for &[u, v] in &crossing.edges {
-        if let Some(plan) = plan_removal(mesh, u, v, effort.ring) {
-            let rows: Vec<[VertexId; 4]> = plan.old.iter().map(|&t| mesh.complex.vertices(t)).collect();
-            let Some(ids) = mesh.replace(&plan.old, &plan.new)? else { continue };
-            match tets_across(mesh, face) {
-                None => return Ok(None),
-                Some(fewer) if !fewer.edges.is_empty() && fewer.edges.len() < count => return Ok(Some(fewer)),
-                Some(_) => drop(mesh.replace(&ids, &rows)?),
-            }
-        } else if effort.depth > 0 && *tries > 0 && remove_edge(mesh, [u, v], effort.depth, effort.ring, tries)? {
-            match tets_across(mesh, face) {
-                None => return Ok(None),
-                Some(fewer) if !fewer.edges.is_empty() && fewer.edges.len() < count => return Ok(Some(fewer)),
-                Some(_) => {}
-            }
+        if !remove_edge(mesh, [u, v], effort.reach(None), tries, &mut journal)? {
+            continue;
+        }
+        match tets_across(mesh, face) {
+            None => return Ok(None),
+            Some(fewer) if !fewer.edges.is_empty() && fewer.edges.len() < count => return Ok(Some(fewer)),
+            Some(_) => journal.take_back(mesh, 0)?,
         }
     }
     Ok(tets_across(mesh, face))

@@ -1,10 +1,11 @@
 //! Step 3: every edge and facet of the surface becomes an edge and a face of the mesh, without a point on the surface.
 //!
 //! # Method
-//! 1. Missing edges, then missing faces, are recovered by local reconnections, with efforts that grow.
-//! 2. What resists is split by Steiner points (`steiner_points`), and its parts are recovered.
-//! 3. The Steiner points are taken off the surface again (`partition_elimination`), into the volume where need be.
-//! 4. Those in the volume are removed as far as possible (`steiner_removal`).
+//! 1. Missing edges are recovered by local reconnections, with efforts that grow; no face is kept yet.
+//! 2. Edges that resist get points in the volume beside them (`edge_bridging`); where that fails they are split.
+//! 3. Missing faces are recovered by local reconnections; those that resist are split (`steiner_points`).
+//! 4. The Steiner points are taken off the surface again (`partition_elimination`), into the volume where need be.
+//! 5. Those in the volume are removed as far as possible (`steiner_removal`).
 //!
 //! # Source
 //! [Drakopoulos2017] 4.6, [GeorgeHechtSaltel1991], [GeorgeBorouchaki2003].
@@ -22,6 +23,7 @@
 pub mod cavity_filling;
 pub mod constrained_mesh;
 pub mod crossings;
+pub mod edge_bridging;
 pub mod edge_recovery;
 pub mod edge_removal;
 pub mod face_recovery;
@@ -34,6 +36,7 @@ use std::time::Instant;
 use glam::DVec3;
 
 use self::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey};
+use self::edge_bridging::Bridge;
 use crate::conforming::options::{Options, RecoveryMode};
 use crate::conforming::report::RecoveryReport;
 use crate::context::RunContext;
@@ -60,14 +63,21 @@ pub struct Effort {
     pub grow: bool,
 }
 
+impl Effort {
+    fn reach(&self, aim: Option<EdgeKey>) -> edge_removal::Reach {
+        edge_removal::Reach { depth: self.depth, ring: self.ring, aim }
+    }
+}
+
 /// The efforts of the passes, growing; the options give where the last ones start.
 fn efforts(options: &Options) -> [Effort; 4] {
-    let (depth, ring) = (options.recursion_depth, options.edge_removal_limit);
+    // Rings of vertices on needles are large: twice what the option says is still cheap.
+    let (depth, ring) = (options.recursion_depth, 2 * options.edge_removal_limit);
     [
         Effort { depth: 0, ring, tries: 0, tets: 12, steps: 60, budget: 500, grow: false },
-        Effort { depth: 1, ring, tries: 20, tets: 20, steps: 150, budget: 900, grow: false },
-        Effort { depth: depth.min(3), ring, tries: 60, tets: 30, steps: 600, budget: 4000, grow: true },
-        Effort { depth, ring: 2 * ring, tries: 300, tets: 48, steps: 6000, budget: 40_000, grow: true },
+        Effort { depth: 1, ring, tries: 50, tets: 12, steps: 60, budget: 500, grow: false },
+        Effort { depth: depth.min(3), ring, tries: 150, tets: 12, steps: 150, budget: 900, grow: false },
+        Effort { depth, ring, tries: 300, tets: 20, steps: 600, budget: 4000, grow: true },
     ]
 }
 
@@ -93,12 +103,13 @@ pub fn recover(
     let start = Instant::now();
     let missing = mesh.missing_segments();
     report.missing_edges = missing.len();
-    let steiner = mesh.complex.points().len();
+
     recover_all_edges(&mut mesh, missing, &efforts, context)?;
-    report.steiner_on_surface[0] = mesh.complex.points().len() - steiner;
+    report.steiner_on_surface[0] = mesh.splits.len();
     report.seconds[0] = start.elapsed().as_secs_f64();
     context.progress("boundary recovery", 0.15);
     let start = Instant::now();
+    mesh.keeps_faces = true;
     let missing = mesh.missing_subfaces();
     report.missing_faces = missing.len();
     recover_all_faces(&mut mesh, missing, &efforts, context)?;
@@ -118,7 +129,7 @@ pub fn restore_surface(
     report: &mut RecoveryReport,
 ) -> Result<Vec<VertexId>> {
     let start = Instant::now();
-    let mut volume = Vec::new();
+    let mut volume = std::mem::take(&mut mesh.volume_points);
     if options.boundary_recovery == RecoveryMode::Full {
         let left = partition_elimination::eliminate_partitions(mesh, &mut volume, &efforts(options)[1], context)?;
         if left > 0 {
@@ -159,13 +170,9 @@ fn recover_all_edges(
     context: &RunContext,
 ) -> Result<()> {
     for _ in 0..MOST_ROUNDS {
-        for (level, effort) in efforts.iter().enumerate() {
+        for effort in efforts {
             if missing.is_empty() {
                 return Ok(());
-            }
-            // Many edges that resist are cheaper split: most of their points vanish again.
-            if level == 3 && missing.len() > MOST_HARD {
-                continue;
             }
             missing = edge_recovery::recover_edges(mesh, missing, effort, context)?;
         }
@@ -175,9 +182,16 @@ fn recover_all_edges(
             if !mesh.is_segment(edge[0], edge[1]) {
                 continue; // split together with a neighbour
             }
-            match steiner_points::split_missing_segment(mesh, edge)? {
-                Some(new) => next.extend(new),
-                None => next.push(edge),
+            let mut volume = std::mem::take(&mut mesh.volume_points);
+            let bridged = edge_bridging::bridge_edge(mesh, edge, &efforts[2], &mut volume, context);
+            mesh.volume_points = volume;
+            match bridged? {
+                Bridge::Present => {}
+                Bridge::Missing => next.push(edge),
+                Bridge::Split(steiner) => {
+                    let new = mesh.split_segment(edge, steiner);
+                    next.extend(new.into_iter().filter(|e| !mesh.has_edge(e[0], e[1])).collect::<Vec<_>>());
+                }
             }
         }
         next.sort_unstable();

@@ -24,17 +24,23 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::Effort;
 use super::cavity_filling::fill_cavity;
-use super::constrained_mesh::{ConstrainedMesh, FaceKey, Split, face_key};
+use super::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey, Split, edge_key, face_key};
 use super::steiner_removal::thin_ball;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::geometry::predicates::orient3d;
 use crate::index::{TetFace, TetId, VertexId};
-use crate::mesh::numbering::TET_FACES;
+use crate::mesh::numbering::{TET_EDGES, TET_FACES};
 use crate::mesh::tet_store::TetStore;
 
 /// Steps of the search for a filling of a sector.
 const FILL_STEPS: usize = 1500;
+
+/// Places tried for a point in a sector that grows, each half as far as the one before.
+const GROWTH_PLACES: i32 = 50;
+
+/// Most tets that join a sector.
+const MOST_GROWN: usize = 60;
 
 /// Places tried on a split segment.
 const SLIDE_PLACES: usize = 50;
@@ -96,6 +102,7 @@ fn undo(mesh: &mut ConstrainedMesh, steiner: VertexId, split: &Split, volume: &m
     let ball = mesh.ball(steiner);
     let count = mesh.complex.points().len();
     let Some(sectors) = sectors_of(mesh, steiner, &ball, &whole) else { return Ok(false) };
+    let mut old = ball;
     let mut new: Vec<[VertexId; 4]> = Vec::new();
     let mut added = Vec::new();
     for sector in sectors {
@@ -104,15 +111,19 @@ fn undo(mesh: &mut ConstrainedMesh, steiner: VertexId, split: &Split, volume: &m
             continue;
         }
         let faces: Vec<[DVec3; 3]> = sector.front.iter().map(|f| f.map(|v| mesh.at(v))).collect();
-        let Some(place) = kernel_point(&faces, mesh.at(steiner), sector.inward) else {
+        let room = match kernel_point(&faces, mesh.at(steiner), sector.inward) {
+            Some(place) => Some((place, sector.front)),
+            None => grown_sector(mesh, steiner, &sector, &mut old),
+        };
+        let Some((place, front)) = room else {
             mesh.complex.truncate_points(count);
             return Ok(false);
         };
         let vertex = mesh.complex.push_point(place)?;
         added.push(vertex);
-        new.extend(sector.front.iter().map(|&[a, b, c]| [a, b, c, vertex]));
+        new.extend(front.iter().map(|&[a, b, c]| [a, b, c, vertex]));
     }
-    if mesh.replace(&ball, &new)?.is_none() {
+    if loses_vertex(mesh, &old, &new, steiner) || mesh.replace(&old, &new)?.is_none() {
         mesh.complex.truncate_points(count);
         return Ok(false);
     }
@@ -127,6 +138,91 @@ fn undo(mesh: &mut ConstrainedMesh, steiner: VertexId, split: &Split, volume: &m
         }
     }
     Ok(true)
+}
+
+/// Whether a vertex other than the Steiner point has all its tets in `old` and none in `new`.
+fn loses_vertex(mesh: &ConstrainedMesh, old: &[TetId], new: &[[VertexId; 4]], steiner: VertexId) -> bool {
+    let kept: FxHashSet<VertexId> = new.iter().flatten().copied().collect();
+    old.iter().flat_map(|&tet| mesh.complex.vertices(tet)).any(|v| v != steiner && !kept.contains(&v))
+}
+
+/// A place inside of a sector too flat for one, with the tets beyond the link faces that it would not see: they join
+/// `old`. Rounding puts a point on an edge of the mesh next to it: then a sector between two facets of one plane is
+/// flat, and that edge has to go as well.
+fn grown_sector(
+    mesh: &ConstrainedMesh,
+    steiner: VertexId,
+    sector: &Sector,
+    old: &mut Vec<TetId>,
+) -> Option<(DVec3, Vec<[VertexId; 3]>)> {
+    let start = mesh.at(steiner);
+    let direction = sector.inward.normalize_or_zero();
+    let corners = sector.front.iter().flatten().map(|&v| mesh.at(v));
+    let size = corners.map(|p| p.distance(start)).fold(0.0, f64::max);
+    // Far steps first: a place far from the surface leaves better tets.
+    (1..GROWTH_PLACES).find_map(|i| {
+        let place = start + direction * (size * 0.5_f64.powi(i));
+        let (tets, front) = grow_to(mesh, place, sector, old)?;
+        old.extend(tets);
+        Some((place, front))
+    })
+}
+
+/// The tets that join a sector so that the place sees its whole border, and that border.
+fn grow_to(
+    mesh: &ConstrainedMesh,
+    place: DVec3,
+    sector: &Sector,
+    old: &[TetId],
+) -> Option<(Vec<TetId>, Vec<[VertexId; 3]>)> {
+    let sees = |f: &[VertexId; 3]| {
+        let [a, b, c] = f.map(|v| mesh.at(v));
+        orient3d(a, b, c, place) > 0.0
+    };
+    if !sector.closing.iter().all(sees) {
+        return None;
+    }
+    // Sides of tets outside, as seen from there; faces of the border by their keys.
+    let mut border = sector.link.clone();
+    let mut tets: Vec<TetId> = Vec::new();
+    let mut checked = 0;
+    while checked < border.len() {
+        let (side, face) = border[checked];
+        if sees(&face) {
+            checked += 1;
+            continue;
+        }
+        let tet = side.tet();
+        let free = side != TetFace::NONE && !mesh.is_subface(side) && !mesh.complex.is_ghost_tet(tet);
+        if !free || tets.len() == MOST_GROWN || old.contains(&tet) || tets.contains(&tet) {
+            return None;
+        }
+        tets.push(tet);
+        border.retain(|(s, _)| s.tet() != tet);
+        let v = mesh.complex.vertices(tet);
+        for face in 0..4 {
+            let inner = TetFace::new(tet, face);
+            let [a, b, c] = TET_FACES[face].map(|i| v[i]);
+            let other = mesh.complex.neighbor(inner);
+            let joined = other != TetFace::NONE && (tets.contains(&other.tet()) || sector.tets.contains(&other.tet()));
+            if !joined {
+                border.push((other, [a, c, b]));
+            }
+        }
+        checked = 0;
+    }
+    let mut front: Vec<[VertexId; 3]> = border.iter().map(|(_, face)| *face).collect();
+    let edges = |faces: &[[VertexId; 3]]| -> FxHashSet<EdgeKey> {
+        faces.iter().flat_map(|&[a, b, c]| [edge_key(a, b), edge_key(b, c), edge_key(a, c)]).collect()
+    };
+    front.extend(&sector.closing);
+    let left = edges(&front);
+    let lost = tets.iter().flat_map(|&tet| {
+        let v = mesh.complex.vertices(tet);
+        TET_EDGES.map(|[i, j]| edge_key(v[i], v[j]))
+    });
+    let swallows = lost.into_iter().any(|e| mesh.is_segment(e[0], e[1]) && !left.contains(&e));
+    (!swallows).then_some((tets, front))
 }
 
 /// Moves the Steiner point along the segment or on the face it splits, to where its link is farthest.
@@ -162,6 +258,12 @@ struct Sector {
     front: Vec<[VertexId; 3]>,
     /// Sum of the inward unit normals of the whole faces.
     inward: DVec3,
+    /// Its tets.
+    tets: Vec<TetId>,
+    /// The link faces of `front`, each with the side beyond.
+    link: Vec<(TetFace, [VertexId; 3])>,
+    /// The whole faces of `front`.
+    closing: Vec<[VertexId; 3]>,
 }
 
 /// The sectors of the ball of `steiner`; `None` where other subfaces than those of the split meet there.
@@ -182,15 +284,19 @@ fn sectors_of(
             continue;
         }
         let mut front: Vec<[VertexId; 3]> = Vec::new();
+        let mut link: Vec<(TetFace, [VertexId; 3])> = Vec::new();
+        let mut tets: Vec<TetId> = Vec::new();
         let mut closing: Vec<[VertexId; 3]> = Vec::new();
         let mut stack = vec![seed];
         while let Some(tet) = stack.pop() {
+            tets.push(tet);
             let v = mesh.complex.vertices(tet);
             for face in 0..4 {
                 let side = TetFace::new(tet, face);
                 let [a, b, c] = TET_FACES[face].map(|i| v[i]);
                 if v[face] == steiner {
                     front.push([a, c, b]);
+                    link.push((mesh.complex.neighbor(side), [a, c, b]));
                 } else if mesh.is_subface(side) {
                     let key = face_key([a, b, c]);
                     let corners = whole.get(&key)?;
@@ -214,13 +320,20 @@ fn sectors_of(
             (b - a).cross(c - a).normalize_or_zero()
         };
         let inward = closing.iter().map(normal).sum();
+        let mut kept = Vec::new();
         for face in closing {
             match front.iter().position(|f| face_key(*f) == face_key(face)) {
-                Some(position) => drop(front.swap_remove(position)),
-                None => front.push(face),
+                Some(position) => {
+                    front.swap_remove(position);
+                    link.retain(|(_, f)| face_key(*f) != face_key(face));
+                }
+                None => {
+                    front.push(face);
+                    kept.push(face);
+                }
             }
         }
-        sectors.push(Sector { front, inward });
+        sectors.push(Sector { front, inward, tets, link, closing: kept });
     }
     (parts_met.len() == whole.len()).then_some(sectors)
 }

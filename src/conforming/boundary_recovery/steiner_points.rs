@@ -13,7 +13,7 @@ use glam::DVec3;
 use rustc_hash::FxHashSet;
 
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey};
-use super::crossings::{tets_across, tets_along};
+use super::crossings::{Crossing, Path, tets_across, tets_along, trace};
 use crate::error::Result;
 use crate::geometry::predicates::{insphere, orient3d};
 use crate::index::{TetFace, TetId, VertexId};
@@ -23,12 +23,12 @@ use crate::mesh::tet_store::TetStore;
 /// Repairs of a cavity before the insertion is given up.
 const MOST_REPAIRS: usize = 200;
 
-/// Splits a missing segment; the new segments, or `None` where no point could be inserted.
+/// Puts a point on a missing segment where it crosses the mesh; its vertex, or `None` where none could be inserted.
 ///
 /// # Errors
 /// Those of vertex and tet creation.
-pub fn split_missing_segment(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey) -> Result<Option<Vec<EdgeKey>>> {
-    let Some(tets) = tets_along(mesh, a, b) else { return Ok(Some(Vec::new())) };
+pub fn insert_on_segment(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey) -> Result<Option<VertexId>> {
+    let Some(tets) = tets_along(mesh, a, b) else { return Ok(None) };
     let Some(&hint) = tets.first() else { return Ok(None) };
     let (pa, pb) = (mesh.at(a), mesh.at(b));
     let mut places: Vec<f64> = vec![0.5];
@@ -54,8 +54,50 @@ pub fn split_missing_segment(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey) -> Res
     places.rotate_left(1);
     for t in places.into_iter().take(6) {
         if let Some(steiner) = insert_point(mesh, pa + (pb - pa) * t, hint_of(mesh, hint, a))? {
-            return Ok(Some(mesh.split_segment([a, b], steiner)));
+            return Ok(Some(steiner));
         }
+    }
+    insert_at_crossing(mesh, [a, b])
+}
+
+/// Puts a point where the segment crosses a face or edge of the mesh, in place of that face or edge: the point sees all
+/// around it, whatever the rest of the mesh is like.
+fn insert_at_crossing(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey) -> Result<Option<VertexId>> {
+    let Some(Path::Through(crossings)) = trace(mesh, a, b) else { return Ok(None) };
+    let (pa, pb) = (mesh.at(a), mesh.at(b));
+    let mut places: Vec<(f64, Vec<TetId>)> = Vec::new();
+    for crossing in crossings {
+        match crossing {
+            Crossing::Face(side) => {
+                let [x, y, z] = mesh.complex.face_vertices(side).map(|v| mesh.at(v));
+                let (da, db) = (orient3d(x, y, z, pa), orient3d(x, y, z, pb));
+                places.push((da / (da - db), vec![side.tet(), mesh.complex.neighbor(side).tet()]));
+            }
+            Crossing::Edge(tet, [u, v]) => {
+                let (pu, pv) = (mesh.at(u), mesh.at(v));
+                // Both lines lie in one plane: the share of the area on one side of u v.
+                let (toward, across) = (pb - pa, pv - pu);
+                let normal = toward.cross(across);
+                let share = (pu - pa).cross(across).dot(normal) / normal.length_squared();
+                let shell = mesh.ball(u).into_iter().filter(|&t| mesh.complex.local_vertex(t, v).is_some());
+                debug_assert!(mesh.complex.local_vertex(tet, v).is_some());
+                places.push((share, shell.collect()));
+            }
+            Crossing::Vertex(_) => {}
+        }
+    }
+    places.retain(|(t, _)| *t > 0.0 && *t < 1.0);
+    places.sort_by(|l, r| (l.0 - 0.5).abs().total_cmp(&(r.0 - 0.5).abs()));
+    for (t, cavity) in places {
+        let count = mesh.complex.points().len();
+        let vertex = mesh.complex.push_point(pa + (pb - pa) * t)?;
+        let front = mesh.shape_of(&cavity).front;
+        let new: Vec<[VertexId; 4]> = front.iter().map(|&[x, y, z]| [x, y, z, vertex]).collect();
+        let is_finite = !new.iter().flatten().any(|v| v.is_ghost());
+        if is_finite && mesh.replace(&cavity, &new)?.is_some() {
+            return Ok(Some(vertex));
+        }
+        mesh.complex.truncate_points(count);
     }
     Ok(None)
 }

@@ -15,7 +15,7 @@ use super::Effort;
 use super::cavity_filling::fill_cavity;
 use super::constrained_mesh::ConstrainedMesh;
 use super::edge_recovery::{contains_edges, grown_cavities};
-use super::edge_removal::{plan_removal, remove_edge};
+use super::edge_removal::{Journal, Reach, plan_removal, remove_edge};
 use super::partition_elimination::kernel_point;
 use crate::context::RunContext;
 use crate::error::Result;
@@ -138,7 +138,8 @@ pub fn thin_ball(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effort) 
             if let Some(plan) = plan_removal(mesh, vertex, other, effort.ring) {
                 thinned |= mesh.replace(&plan.old, &plan.new)?.is_some();
             } else if effort.depth > 0 {
-                thinned |= remove_edge(mesh, [vertex, other], effort.depth.min(2), effort.ring, &mut tries)?;
+                let reach = Reach { depth: effort.depth.min(2), ring: effort.ring, aim: None };
+                thinned |= remove_edge(mesh, [vertex, other], reach, &mut tries, &mut Journal::default())?;
             }
             if thinned {
                 break;
