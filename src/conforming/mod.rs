@@ -5,17 +5,18 @@
 //! 2. `delaunay_kernel`: Delaunay tetrahedralization of the surface's points.
 //! 3. `boundary_recovery`: every edge and facet of the surface becomes an edge and a face of the mesh.
 //! 4. `domain_labels`: outside is removed, regions get their labels.
-//! 5. `volume_generation`: refinement and quality improvement, where asked for.
+//! 5. `volume_generation`: refinement and quality improvement, where asked for; `boundary_slivers` on demand.
 //!
 //! # Source
 //! [Drakopoulos2017] chapter 4, [Drakopoulos2019].
 //!
 //! # Invariants
 //! The surface's points are the first points of the mesh, bit for bit, in their order (equal points merged, unused
-//! ones left out); every facet is a face of the mesh; no other point lies on the surface.
+//! ones left out); every facet is a face of the mesh (unless boundary slivers are deleted on demand); no other point lies on the surface.
 
 pub mod assembly;
 pub mod boundary_recovery;
+pub mod boundary_slivers;
 mod cavity;
 pub mod cavity_insertion;
 pub mod delaunay_kernel;
@@ -54,6 +55,7 @@ use std::time::Instant;
 
 use crate::conforming::assembly::{Carved, carve, finish};
 use crate::conforming::boundary_recovery::{recover, remove_from_volume, restore_surface};
+use crate::conforming::boundary_slivers::delete_boundary_slivers;
 use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, tetrahedralize};
 use crate::conforming::domain_labels::{Region, label_domain};
 use crate::conforming::input_check::CheckedSurface;
@@ -161,7 +163,7 @@ fn domain_mesh(
         let finding = Finding::new(FindingCode::SteinerPoint, Severity::Note, text);
         context.report(finding.with_ids(i64::from(vertex.0), -1).at(mesh.at(vertex).to_array()));
     }
-    let Carved { mut complex, subfaces, .. } = carve(&mesh, &domain, checked.points.len())?;
+    let Carved { mut complex, mut subfaces, .. } = carve(&mesh, &domain, checked.points.len())?;
     drop(mesh);
     let regions: &[Region] = &domain.regions;
     let source_surface = source_facets(surface);
@@ -173,5 +175,10 @@ fn domain_mesh(
         surface_points: checked.points.len(),
     };
     report.refinement = generate_volume(&mut complex, &input, options, context)?;
+    if options.delete_boundary_slivers {
+        let patches = &checked.facet_patches;
+        let deleted = delete_boundary_slivers(&mut complex, &mut subfaces, patches, options);
+        report.refinement.set("quality.boundary_slivers_deleted", deleted as f64);
+    }
     finish(&complex, regions, &subfaces, &checked.facets, &checked.facet_patches)
 }

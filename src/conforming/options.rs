@@ -189,7 +189,7 @@ pub const PARAMETERS: Table = &[
         150.0,
         RECOVERY,
         "With boundary sliver deletion: surface triangles are not reconnected where the dihedral angle of the result \
-         would be less. Only the default is supported.",
+         would be less.",
     ),
     angle(
         "surface-angle-limit",
@@ -198,7 +198,7 @@ pub const PARAMETERS: Table = &[
         140.0,
         RECOVERY,
         "With boundary sliver deletion: surface triangles are not reconnected where their largest angle would grow \
-         beyond this. Only the default is supported.",
+         beyond this.",
     ),
     whole(
         "recursion-depth",
@@ -419,23 +419,16 @@ pub const PARAMETERS: Table = &[
         false,
         QUALITY,
         "Delete slivers at the boundary and reconnect the surface there: the one option that changes the surface's \
-         triangles (never its points). Only the default, off, is supported: the surface is kept exactly.",
+         triangles (never its points).",
     ),
-    whole(
-        "boundary-sliver-repeats",
-        "ndbs",
-        (0, 100),
-        5,
-        QUALITY,
-        "Most repeats of boundary sliver deletion. Only the default is supported.",
-    ),
+    whole("boundary-sliver-repeats", "ndbs", (0, 100), 5, QUALITY, "Most repeats of boundary sliver deletion."),
     angle(
         "boundary-sliver-angle",
         "angdbs",
         (120.0, 179.9),
         160.0,
         QUALITY,
-        "With boundary sliver deletion: boundary elements with a larger angle are slivers. Only the default is supported.",
+        "With boundary sliver deletion: boundary elements with a larger angle are slivers.",
     ),
     flag("delete-small-edges", "mdse", true, QUALITY, "Collapse edges much shorter than the size wanted."),
     real("small-edge-factor", "cdse", (0.0, 0.7), 0.25, QUALITY, "Edges shorter than this times the size are small."),
@@ -505,7 +498,7 @@ pub const PARAMETERS: Table = &[
         "ordtq",
         true,
         PARALLEL,
-        "As group-active, in quality passes. Only the default, on, is supported.",
+        "As group-active, in quality passes: on, worst elements first; off, in the order of storage among all others.",
     ),
     flag("sort-quality", "sortpq", false, PARALLEL, "Sort the elements of a quality pass along a Hilbert curve."),
     flag(
@@ -513,7 +506,7 @@ pub const PARAMETERS: Table = &[
         "pint",
         false,
         PARALLEL,
-        "Bind each worker of a parallel pass to one core. Only the default, off, is supported.",
+        "Bind each worker to one core while refinement and quality improvement run (Linux).",
     ),
     whole(
         "reserved-elements",
@@ -551,16 +544,7 @@ pub const PARAMETERS: Table = &[
 ];
 
 /// Options that only their default has an effect for: [`Options::from_parameters`] refuses other values.
-pub const FIXED: &[&str] = &[
-    "discontinuity-angle",
-    "surface-angle-limit",
-    "delete-boundary-slivers",
-    "boundary-sliver-repeats",
-    "boundary-sliver-angle",
-    "group-active-quality",
-    "pin-threads",
-    "maximum-stack",
-];
+pub const FIXED: &[&str] = &["maximum-stack"];
 
 /// Which bounded regions are meshed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -632,6 +616,11 @@ pub struct Options {
     pub delete_field_slivers: bool,
     pub field_sliver_repeats: usize,
     pub field_sliver_angle: f64,
+    pub delete_boundary_slivers: bool,
+    pub boundary_sliver_repeats: usize,
+    pub boundary_sliver_angle: f64,
+    pub discontinuity_angle: f64,
+    pub surface_angle_limit: f64,
     pub delete_small_edges: bool,
     pub small_edge_factor: f64,
     pub quality_statistics: bool,
@@ -644,6 +633,8 @@ pub struct Options {
     pub quality_transfer_fraction: f64,
     pub quality_transfer_reduction: f64,
     pub group_active: bool,
+    pub group_active_quality: bool,
+    pub pin_threads: bool,
     pub sort_new_points: bool,
     pub sort_quality: bool,
     pub reserved_elements: usize,
@@ -716,6 +707,11 @@ impl Options {
             delete_field_slivers: set.flag("delete-field-slivers"),
             field_sliver_repeats: count("field-sliver-repeats"),
             field_sliver_angle: set.real("field-sliver-angle"),
+            delete_boundary_slivers: set.flag("delete-boundary-slivers"),
+            boundary_sliver_repeats: count("boundary-sliver-repeats"),
+            boundary_sliver_angle: set.real("boundary-sliver-angle"),
+            discontinuity_angle: set.real("discontinuity-angle"),
+            surface_angle_limit: set.real("surface-angle-limit"),
             delete_small_edges: set.flag("delete-small-edges"),
             small_edge_factor: set.real("small-edge-factor"),
             quality_statistics: set.flag("quality-statistics"),
@@ -728,6 +724,8 @@ impl Options {
             quality_transfer_fraction: set.real("quality-transfer-fraction"),
             quality_transfer_reduction: set.real("quality-transfer-reduction"),
             group_active: set.flag("group-active"),
+            group_active_quality: set.flag("group-active-quality"),
+            pin_threads: set.flag("pin-threads"),
             sort_new_points: set.flag("sort-new-points"),
             sort_quality: set.flag("sort-quality"),
             reserved_elements: count("reserved-elements"),
@@ -825,75 +823,4 @@ fn parse_size_source(text: &str) -> Result<SizeSource> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn defaults_are_the_tables() {
-        let options = Options::default();
-        assert!(options.refine && options.boundary_recovery == RecoveryMode::Full);
-        assert_eq!((options.size_factor, options.growth_rate, options.quality_passes), (1.2, 1.1, 2));
-    }
-
-    #[test]
-    fn names_and_aliases_are_unique_and_defaults_in_range() {
-        let mut names: Vec<&str> = PARAMETERS.iter().flat_map(|p| std::iter::once(p.name).chain(p.alias)).collect();
-        names.sort_unstable();
-        let count = names.len();
-        names.dedup();
-        assert_eq!(names.len(), count);
-        for parameter in PARAMETERS {
-            if let Some(value) = parameter.default_value() {
-                parameter.check(value).unwrap();
-            }
-        }
-    }
-
-    #[test]
-    fn options_without_effect_accept_their_default_only() {
-        for name in FIXED {
-            let parameter = &PARAMETERS[crate::parameters::find(PARAMETERS, name).unwrap()];
-            let default = parameter.default_value().unwrap();
-            let other = match default {
-                Value::Flag(flag) => Value::Flag(!flag),
-                Value::Integer(number) => Value::Integer(number + 1),
-                Value::Real(number) => Value::Real(number + 1.0),
-                _ => unreachable!(),
-            };
-            let mut set = ParameterSet::new(PARAMETERS);
-            set.set(name, default).unwrap();
-            assert!(Options::from_parameters(&set).is_ok(), "{name}");
-            set.set(name, other).unwrap();
-            assert!(matches!(Options::from_parameters(&set), Err(Error::ParameterValue { .. })), "{name}");
-        }
-    }
-
-    #[test]
-    fn lists_are_read_or_refused() {
-        let mut set = ParameterSet::new(PARAMETERS);
-        set.set_text("hole", "1,2,3").unwrap();
-        set.set_text("region", "0,0,0,7,0.5").unwrap();
-        set.set_text("size-source", "box:1,1,1,0,0,0,0.1").unwrap();
-        set.set_text("patch-role", "3=transparent").unwrap();
-        let options = Options::from_parameters(&set).unwrap();
-        assert_eq!(options.holes, [DVec3::new(1.0, 2.0, 3.0)]);
-        assert_eq!((options.regions[0].label, options.regions[0].size), (7, Some(0.5)));
-        assert_eq!(options.patch_roles, [(3, "embedded".to_owned())]);
-        for (name, text) in [
-            ("hole", "1,2"),
-            ("hole", "1,2,nan"),
-            ("region", "0,0,0,0"),
-            ("region", "0,0,0,1,-1"),
-            ("region", "0,0,0,1.5"),
-            ("size-source", "point:0,0,0,0"),
-            ("size-source", "sphere:0,0,0,-1,1"),
-            ("size-source", "cone:0,0,0"),
-            ("patch-role", "x=wall"),
-            ("patch-role", "1=roof"),
-        ] {
-            let mut set = ParameterSet::new(PARAMETERS);
-            set.set_text(name, text).unwrap();
-            assert!(matches!(Options::from_parameters(&set), Err(Error::ParameterValue { .. })), "{name} {text}");
-        }
-    }
-}
+mod tests;

@@ -7,6 +7,7 @@ pub mod claim_table;
 pub mod coloring;
 pub mod id_allocator;
 pub mod ordered_reduce;
+pub mod pinning;
 pub mod shared_rows;
 pub mod speculative;
 pub mod work_queue;
