@@ -30,6 +30,12 @@ use crate::mesh::tet_store::TetStore;
 pub trait TetMeasure {
     /// The grade: higher is better, at most 0 when flat or inverted.
     fn grade(&self, corners: [DVec3; 4]) -> f64;
+
+    /// Whether tets whose vertices beside the one being moved or inserted are these get the grade of [`strict`].
+    #[inline]
+    fn is_strict(&self, _vertices: &[VertexId]) -> bool {
+        false
+    }
 }
 
 /// Every valid tet is as good as any other: for boundary recovery.
@@ -87,6 +93,37 @@ impl TetMeasure for BiasedSine {
         let worst = first.min(second);
         let grade = six_volume * worst.sqrt();
         if grade.is_finite() { grade } else { 0.0 }
+    }
+}
+
+/// Angles that tets off the boundary are expected to reach at any price for those on it, degrees.
+const STRICT_ANGLES: (f64, f64) = (15.0, 155.0);
+
+/// The grade of a tet that nothing forces to be bad: below [`STRICT_ANGLES`] it falls with the ninth power, so that no
+/// operation pays for a better tet at the boundary, where the surface may force bad angles, with a bad one off it.
+#[inline]
+pub fn strict(grade: f64) -> f64 {
+    // The smaller of the two sines is that of the small angle.
+    let limit = STRICT_ANGLES.0.to_radians().sin();
+    if grade >= limit || grade <= 0.0 { grade } else { grade * (grade / limit).powi(8) }
+}
+
+/// The biased sine, strict with tets that have no vertex on the boundary.
+#[derive(Debug, Clone, Copy)]
+pub struct StrictInside<'a> {
+    /// Which vertices lie on the boundary; those beyond the end do not.
+    pub on_boundary: &'a [bool],
+}
+
+impl TetMeasure for StrictInside<'_> {
+    #[inline]
+    fn grade(&self, corners: [DVec3; 4]) -> f64 {
+        BiasedSine.grade(corners)
+    }
+
+    #[inline]
+    fn is_strict(&self, vertices: &[VertexId]) -> bool {
+        !vertices.iter().any(|v| self.on_boundary.get(v.index()).copied().unwrap_or(false))
     }
 }
 
@@ -169,6 +206,17 @@ mod tests {
             let skew = 1.0 + range.max.to_radians().cos();
             assert!((MaxAngle.grade(tet) - skew).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn strict_grades_keep_their_order_and_fall_below_the_limit() {
+        let limit = BiasedSine::grade_of_angles(STRICT_ANGLES.0, STRICT_ANGLES.1);
+        assert_eq!(strict(limit), limit);
+        assert!(strict(0.9 * limit) > strict(0.8 * limit) && strict(0.8 * limit) > 0.0);
+        // A tet off the boundary at 12 degrees counts less than one on it at 5.
+        assert!(strict(12.0f64.to_radians().sin()) < 6.0f64.to_radians().sin());
+        let measure = StrictInside { on_boundary: &[true, false] };
+        assert!(!measure.is_strict(&[VertexId(0), VertexId(1)]) && measure.is_strict(&[VertexId(1), VertexId(9)]));
     }
 
     #[test]

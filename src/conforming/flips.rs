@@ -38,7 +38,7 @@ mod vertex_operations;
 pub use face_removal::plan_face_removal;
 pub use vertex_operations::{Feature, plan_contraction, plan_insertion, plan_vertex_removal, touches_constraint};
 
-use crate::conforming::flip_criteria::TetMeasure;
+use crate::conforming::flip_criteria::{TetMeasure, strict};
 use crate::error::{Error, Result};
 use crate::geometry::predicates::orient3d;
 use crate::index::{Label, TetFace, TetId, VertexId};
@@ -155,7 +155,8 @@ impl Accept {
 
 #[inline]
 fn grade_of<S: TetStore + ?Sized, M: TetMeasure>(store: &S, measure: &M, tet: [VertexId; 4]) -> f64 {
-    measure.grade(store.corners(tet))
+    let grade = measure.grade(store.corners(tet));
+    if measure.is_strict(&tet) { strict(grade) } else { grade }
 }
 
 /// Claims a tet and refuses what no flip may touch.

@@ -21,23 +21,28 @@
 //! # Limits
 //! A claimed store has room for a given number of new tets; items without room are worked off in another round.
 
+mod tet_treatment;
+
+use tet_treatment::TreatJob;
+pub use tet_treatment::Treatment;
+
 use rayon::prelude::*;
 
-use super::flip_criteria::{BiasedSine, TetMeasure};
-use super::flips::{Accept, Outcome, plan_contraction, plan_edge_removal, plan_face_removal, plan_vertex_removal};
+use super::flip_criteria::BiasedSine;
+use super::flips::{Accept, Outcome, plan_contraction};
 use super::local_reconnection::{FlipCounts, FourFour, Objective, Reconnector};
 use super::options::Options;
-use super::sliver_removal::{SliverScratch, plan_sliver_insertion};
+use super::sliver_removal::SliverScratch;
 use super::smoothing::{Smoother, SmoothingRule};
 use super::vertex_insertion::{Insertion, InsertionRule, insert_vertex};
 use crate::context::RunContext;
 use crate::error::Result;
+use crate::geometry::tetrahedron::dihedral_cosines;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::claimed_tets::{ClaimedTets, with_claims};
 use crate::mesh::numbering::TET_EDGES;
 use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
-use crate::mesh::topology::ShellTet;
 use crate::parallel::claim_table::ClaimTable;
 use crate::parallel::speculative::{Attempt, SpeculativeCounts, Worker, run_speculative};
 use crate::parallel::work_queue::WorkSettings;
@@ -81,6 +86,8 @@ struct Kit {
     removed: Vec<VertexId>,
     /// Vertices that smoothing moved.
     moved: Vec<VertexId>,
+    /// Vertices of the tets that treatments made, and those they moved.
+    touched: Vec<VertexId>,
     tally: Tally,
 }
 
@@ -129,13 +136,26 @@ impl Job for InsertJob<'_> {
 struct ReconnectJob {
     objective: Objective,
     four: FourFour,
+    /// Tets whose largest angle has no smaller cosine are passed over.
+    active_cosine: f64,
+}
+
+impl ReconnectJob {
+    fn is_active<S: TetStore>(&self, store: &S, tet: TetId) -> bool {
+        if self.active_cosine > 1.0 {
+            return store.is_live(tet);
+        }
+        let row = store.vertices(tet);
+        let is_finite = store.is_live(tet) && !row.contains(&VertexId::GHOST);
+        is_finite && dihedral_cosines(store.corners(row)).1 < self.active_cosine
+    }
 }
 
 impl Job for ReconnectJob {
     type Item = TetId;
 
     fn attempt<S: TetStore>(&self, store: &mut S, kit: &mut Kit, tet: TetId) -> Result<Attempt> {
-        if store.is_live(tet) {
+        if self.is_active(store, tet) {
             kit.reconnector.reconnect_from(store, tet, self.objective, self.four, BUDGET)?;
         }
         Ok(Attempt::Done)
@@ -198,138 +218,6 @@ impl Job for CollapseJob {
                 _ => store.release_claims(),
             }
         }
-        Ok(Attempt::Done)
-    }
-}
-
-/// Which operations bad tets get.
-#[derive(Debug, Clone, Copy)]
-pub struct Treatment {
-    /// Most tets around an edge that is removed.
-    pub edge_limit: usize,
-    /// Whether vertices are removed and inserted.
-    pub changes_vertices: bool,
-    /// Tets of this grade or better are left alone.
-    pub goal: f64,
-}
-
-impl Treatment {
-    /// Edge and face removal and moves of vertices.
-    pub fn topological(goal: f64) -> Self {
-        Self { edge_limit: 8, changes_vertices: false, goal }
-    }
-
-    /// All operations.
-    pub fn everything(goal: f64) -> Self {
-        Self { edge_limit: 10, changes_vertices: true, goal }
-    }
-}
-
-struct TreatJob<'a> {
-    sizes: &'a [f64],
-    treatment: &'a Treatment,
-}
-
-impl TreatJob<'_> {
-    /// Edge and face removal.
-    fn reconnect<S: TetStore>(&self, store: &mut S, kit: &mut Kit, tet: TetId) -> Result<Outcome> {
-        let mut lost = false;
-        for option in 0..10 {
-            let scratch = &mut kit.reconnector.scratch;
-            let outcome = if option < 6 {
-                let [a, b] = TET_EDGES[option];
-                let start = ShellTet::new(tet, a, b);
-                plan_edge_removal(store, start, self.treatment.edge_limit, &BiasedSine, Accept::Better, scratch)
-            } else {
-                plan_face_removal(store, TetFace::new(tet, option - 6), &BiasedSine, Accept::Better, scratch)
-            };
-            let done = outcome == Outcome::Accepted && kit.reconnector.commit(store)?;
-            store.release_claims();
-            if done {
-                return Ok(Outcome::Accepted);
-            }
-            lost |= outcome == Outcome::ClaimLost;
-        }
-        Ok(if lost { Outcome::ClaimLost } else { Outcome::WorsensQuality })
-    }
-
-    /// Vertex removal, then insertion.
-    fn change_vertices<S: TetStore>(
-        &self,
-        store: &mut S,
-        kit: &mut Kit,
-        tet: TetId,
-        row: [VertexId; 4],
-    ) -> Result<Outcome> {
-        let mut lost = false;
-        for vertex in row {
-            let scratch = &mut kit.reconnector.scratch;
-            let outcome = plan_vertex_removal(store, vertex, &BiasedSine, Accept::Better, scratch);
-            let done = outcome == Outcome::Accepted && kit.reconnector.commit(store)?;
-            store.release_claims();
-            if done {
-                kit.tally.removed += 1;
-                kit.removed.push(vertex);
-                return Ok(Outcome::Accepted);
-            }
-            lost |= outcome == Outcome::ClaimLost;
-        }
-        let Some(vertex) = kit.spare.pop() else { return Ok(Outcome::NotApplicable) };
-        let Kit { slivers, reconnector, .. } = kit;
-        let (outcome, place) =
-            plan_sliver_insertion(store, tet, vertex, &BiasedSine, slivers, &mut reconnector.scratch);
-        if outcome == Outcome::Accepted {
-            store.set_point(vertex, place);
-            if reconnector.commit(store)? {
-                store.release_claims();
-                let known = row.iter().filter_map(|v| self.sizes.get(v.index()).copied());
-                kit.new_sizes.push((vertex, known.clone().sum::<f64>() / known.count().max(1) as f64));
-                kit.tally.inserted += 1;
-                return Ok(Outcome::Accepted);
-            }
-        }
-        store.release_claims();
-        kit.spare.push(vertex);
-        Ok(if lost { Outcome::ClaimLost } else { outcome })
-    }
-}
-
-impl Job for TreatJob<'_> {
-    type Item = TetId;
-
-    fn attempt<S: TetStore>(&self, store: &mut S, kit: &mut Kit, tet: TetId) -> Result<Attempt> {
-        if !store.try_claim_tet(tet) {
-            let gone = !store.is_live(tet);
-            store.release_claims();
-            return Ok(if gone { Attempt::Done } else { Attempt::ClaimLost });
-        }
-        let row = store.vertices(tet);
-        let is_good = row.contains(&VertexId::GHOST) || BiasedSine.grade(store.corners(row)) >= self.treatment.goal;
-        store.release_claims();
-        if is_good {
-            return Ok(Attempt::Done);
-        }
-        match self.reconnect(store, kit, tet)? {
-            Outcome::Accepted => {
-                kit.tally.done += 1;
-                return Ok(Attempt::Done);
-            }
-            Outcome::ClaimLost => return Ok(Attempt::ClaimLost),
-            _ => {}
-        }
-        let mut moved = false;
-        for vertex in row {
-            moved |= kit.smoother.optimize(store, vertex, &BiasedSine) == Outcome::Accepted;
-            store.release_claims();
-        }
-        if !moved && self.treatment.changes_vertices {
-            match self.change_vertices(store, kit, tet, row)? {
-                Outcome::Accepted => moved = true,
-                Outcome::ClaimLost => return Ok(Attempt::ClaimLost),
-                _ => {}
-            }
-        }
-        kit.tally.done += u64::from(moved);
         Ok(Attempt::Done)
     }
 }
@@ -528,7 +416,7 @@ impl Driver {
             if self.sorts {
                 sort_along_curve(complex, &mut items, |t| complex.vertices(*t)[0])?;
             }
-            self.run(complex, &ReconnectJob { objective, four }, items, end)?;
+            self.run(complex, &ReconnectJob { objective, four, active_cosine: f64::INFINITY }, items, end)?;
             begin = end;
             tets.append(&mut self.finish_lost(complex, objective, four)?);
             if tets.len() == end {
@@ -536,6 +424,25 @@ impl Driver {
             }
         }
         Ok(())
+    }
+
+    /// Reconnects from every tet whose largest angle is above `degrees`, in the order of storage: the list of active
+    /// tets that is not grouped.
+    ///
+    /// # Errors
+    /// As [`Driver::insert`].
+    pub fn reconnect_ungrouped(
+        &mut self,
+        complex: &mut TetComplex,
+        degrees: f64,
+        objective: Objective,
+        four: FourFour,
+    ) -> Result<()> {
+        let tets: Vec<TetId> = complex.finite_tets().collect();
+        let room = tets.len();
+        let job = ReconnectJob { objective, four, active_cosine: degrees.to_radians().cos() };
+        self.run(complex, &job, tets, room)?;
+        self.finish_lost(complex, objective, four).map(|_| ())
     }
 
     /// Collapses edges shorter than `factor` times the smaller size of their ends, where one end is free to go and no
@@ -586,6 +493,7 @@ impl Driver {
         &mut self,
         complex: &mut TetComplex,
         sizes: &mut Vec<f64>,
+        on_boundary: &[bool],
         bad: Vec<TetId>,
         treatment: &Treatment,
     ) -> Result<usize> {
@@ -594,7 +502,7 @@ impl Driver {
             self.deal_spares(complex, sizes, bad.len())?;
         }
         let room = 4 * bad.len();
-        self.run(complex, &TreatJob { sizes, treatment }, bad, room)?;
+        self.run(complex, &TreatJob { sizes, on_boundary, treatment }, bad, room)?;
         for kit in &mut self.kits {
             for (vertex, size) in kit.new_sizes.drain(..) {
                 sizes[vertex.index()] = size;
@@ -605,6 +513,11 @@ impl Driver {
         self.finish_lost(complex, Objective::EdgeWeight, FourFour::Off)?;
         let after: u64 = self.kits.iter().map(|k| k.tally.done).sum();
         Ok((after - before) as usize)
+    }
+
+    /// The vertices at which treatments changed something since the last call; some several times.
+    pub fn take_touched(&mut self) -> Vec<VertexId> {
+        self.kits.iter_mut().flat_map(|kit| std::mem::take(&mut kit.touched)).collect()
     }
 
     /// Gives every thread spare vertices, enough for each bad tet to take one.

@@ -11,7 +11,7 @@
 //! After the passes, and again up to `nqualf` times while a tet is above `angqmax`, the worst tets get all operations.
 //!
 //! # Source
-//! [Drakopoulos2017] 4.9; B.3 `nqual`, `nqualf`, `angqual`, `angqmsk`, `angqmax`, `mrecqm`, `mrecqmf`, `mdfs`, `ndfs`,
+//! [Drakopoulos2017] 4.9; B.3 `nqual`, `nqualf`, `angqual`, `angqmsk`, `angqmax`, `mrecqm`, `mrecqmf`, `ordtq`, `mdfs`, `ndfs`,
 //! `angdfs`, `mdse`, `cdse`; operations and their order beyond the thesis: [KlingnerShewchuk2007].
 //!
 //! # Invariants
@@ -44,7 +44,7 @@ use crate::statistics::Statistics;
 const WORST_ROUNDS: usize = 6;
 /// Angles that the rounds over the worst tets aim at, degrees: beyond what users ask for, so that they get it.
 const WORST_GOAL: (f64, f64) = (24.0, 145.0);
-/// Flips that one tet may set off.
+/// Tets per parallel chunk.
 const CHUNK: usize = 2048;
 
 /// Tets that a rule finds bad, worst first.
@@ -102,10 +102,34 @@ fn vertices_of(complex: &TetComplex, tets: &[TetId]) -> Vec<VertexId> {
 }
 
 /// Which vertices lie on the boundary.
-fn boundary_vertices(complex: &TetComplex) -> Vec<bool> {
+pub(super) fn boundary_vertices(complex: &TetComplex) -> Vec<bool> {
     let mut marks = vec![false; complex.vertex_count()];
     boundary_triangles(complex).as_flattened().iter().for_each(|v| marks[v.index()] = true);
     marks
+}
+
+/// Largest grade, as the sine of an angle of 5 degrees, of the tets that the end of refinement treats.
+const FLAT_DEGREES: f64 = 5.0;
+
+/// The end of refinement: edge and multi-face removal at the flat tets that the flips 2-3 and 3-2 left behind, or moves of
+/// their vertices. What is left are the slivers before quality improvement.
+///
+/// # Errors
+/// As [`improve`].
+pub fn treat_flat_tets(
+    complex: &mut TetComplex,
+    sizes: &mut Vec<f64>,
+    options: &Options,
+    context: &RunContext,
+) -> Result<()> {
+    let goal = FLAT_DEGREES.to_radians().sin();
+    let flat = tets_below(complex, context, goal);
+    if flat.is_empty() {
+        return Ok(());
+    }
+    let on_boundary = boundary_vertices(complex);
+    let mut driver = Driver::for_refinement(options, context);
+    driver.treat(complex, sizes, &on_boundary, flat, &Treatment::topological(goal)).map(|_| ())
 }
 
 /// Improves the mesh and returns the figures; `sizes` has one entry per vertex and grows with them.
@@ -124,13 +148,14 @@ pub fn improve(
         return Ok(figures);
     }
     let mut driver = Driver::for_quality(options, context);
+    let on_boundary = boundary_vertices(complex);
     let passes = options.quality_passes;
     for repeat in 0..=options.quality_repeats {
         for pass in 0..passes {
             context.check()?;
             let is_last = pass + 1 == passes;
             let pass_start = Instant::now();
-            improvement_pass(complex, sizes, options, context, &mut driver, is_last)?;
+            improvement_pass(complex, sizes, options, context, &on_boundary, &mut driver, is_last)?;
             let number = repeat * passes + pass + 1;
             let counts = driver.take_counts();
             for (name, value) in [
@@ -151,7 +176,7 @@ pub fn improve(
             }
             context.progress("quality improvement", 0.65 + 0.3 * (pass + 1) as f64 / (passes + 1) as f64);
         }
-        improve_worst(complex, sizes, options, context, &mut driver)?;
+        improve_worst(complex, sizes, options, context, &on_boundary, &mut driver)?;
         if tets_above(complex, context, options.repeat_angle).is_empty() {
             break;
         }
@@ -166,6 +191,7 @@ fn improvement_pass(
     sizes: &mut Vec<f64>,
     options: &Options,
     context: &RunContext,
+    on_boundary: &[bool],
     driver: &mut Driver,
     is_last: bool,
 ) -> Result<()> {
@@ -177,8 +203,12 @@ fn improvement_pass(
         (true, false) => FourFour::First,
         (true, true) => FourFour::Best,
     };
-    let mut active = tets_above(complex, context, options.quality_angle);
-    driver.reconnect(complex, &mut active, objective, four, 1)?;
+    if options.group_active_quality {
+        let mut active = tets_above(complex, context, options.quality_angle);
+        driver.reconnect(complex, &mut active, objective, four, 1)?;
+    } else {
+        driver.reconnect_ungrouped(complex, options.quality_angle, objective, four)?;
+    }
     if options.delete_small_edges {
         driver.collapse_small_edges(complex, sizes, options.small_edge_factor)?;
     }
@@ -189,19 +219,20 @@ fn improvement_pass(
         coefficient: options.smoothing_coefficient,
         acceptance: if options.smart_smoothing { Acceptance::Smart } else { Acceptance::Valid },
     };
-    let on_boundary = boundary_vertices(complex);
     for _ in 0..options.smoothing_iterations {
-        vertices = driver.smooth(complex, vertices, &on_boundary, &rule, options.boundary_smoothing_factor)?;
+        vertices = driver.smooth(complex, vertices, on_boundary, &rule, options.boundary_smoothing_factor)?;
     }
     // The grade that the masking angle has; small angles of the same grade count as well.
     let mask = BiasedSine::grade_of_angles(90.0, options.mask_angle);
     let goal = mask.min(BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1));
     let bad = tets_below(complex, context, goal);
-    driver.treat(complex, sizes, bad, &Treatment::topological(goal))?;
+    driver.treat(complex, sizes, on_boundary, bad, &Treatment::topological(goal))?;
     if options.delete_field_slivers {
         for _ in 0..options.field_sliver_repeats {
             let slivers = tets_above(complex, context, options.field_sliver_angle);
-            if slivers.is_empty() || driver.treat(complex, sizes, slivers, &Treatment::everything(goal))? == 0 {
+            if slivers.is_empty()
+                || driver.treat(complex, sizes, on_boundary, slivers, &Treatment::everything(goal))? == 0
+            {
                 break;
             }
         }
@@ -214,17 +245,27 @@ fn improve_worst(
     sizes: &mut Vec<f64>,
     options: &Options,
     context: &RunContext,
+    on_boundary: &[bool],
     driver: &mut Driver,
 ) -> Result<()> {
     let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
     let treatment =
         if options.delete_field_slivers { Treatment::everything(goal) } else { Treatment::topological(goal) };
+    driver.take_touched();
+    let mut touched: Option<Vec<bool>> = None;
     for _ in 0..WORST_ROUNDS {
         context.check()?;
-        let bad = tets_below(complex, context, goal);
-        if bad.is_empty() || driver.treat(complex, sizes, bad, &treatment)? == 0 {
+        let mut bad = tets_below(complex, context, goal);
+        // Where nothing has changed, what failed fails again.
+        if let Some(touched) = &touched {
+            bad.retain(|&tet| complex.vertices(tet).iter().any(|v| touched[v.index()]));
+        }
+        if bad.is_empty() || driver.treat(complex, sizes, on_boundary, bad, &treatment)? == 0 {
             break;
         }
+        let mut marks = vec![false; complex.vertex_count()];
+        driver.take_touched().iter().filter(|v| !v.is_ghost()).for_each(|v| marks[v.index()] = true);
+        touched = Some(marks);
     }
     Ok(())
 }

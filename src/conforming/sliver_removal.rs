@@ -6,7 +6,9 @@
 //!   configuration 2: the shell of the opposite edge                   new point: its centroid, moved to where the worst
 //!   configuration 3: both shells                                      new tet is best
 //! ```
-//! The configuration whose worst new tet is best is taken, if that is better than the worst tet it replaces.
+//! The configuration whose worst new tet is best is taken, if that is better than the worst tet it replaces and not below
+//! a floor. Without the floor, tets whose bad angles the surface forces would draw point after point, each a little
+//! better than the last, until the thin places of the domain are full of small bad tets.
 //!
 //! # Source
 //! [Drakopoulos2017] 4.9.3, figure 76; B.3 `angdfs`, `mdfs`, `ndfs`.
@@ -19,7 +21,7 @@
 
 use glam::DVec3;
 
-use super::flip_criteria::TetMeasure;
+use super::flip_criteria::{TetMeasure, strict};
 use super::flips::{FlipScratch, Outcome};
 use super::smoothing::Star;
 use crate::geometry::tetrahedron::dihedral_angles;
@@ -41,12 +43,22 @@ pub struct SliverScratch {
     best: Vec<TetId>,
 }
 
+/// What an inserted point must keep to.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct InsertionLimits {
+    /// No new tet is below this grade.
+    pub floor: f64,
+    /// No vertex around is closer than this, mm.
+    pub spacing: f64,
+}
+
 /// Plans the insertion of `vertex` (a spare one without tets) that removes `tet`. The plan is in `flips`; the second
 /// value is the place of the vertex, to be set before the commit.
 pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
     store: &mut S,
     tet: TetId,
     vertex: VertexId,
+    limits: InsertionLimits,
     measure: &M,
     scratch: &mut SliverScratch,
     flips: &mut FlipScratch,
@@ -65,7 +77,7 @@ pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
     let mut best: Option<(f64, f64, DVec3)> = None;
     let mut last = Outcome::WorsensQuality;
     for edges in configurations {
-        match gather(store, tet, edges, scratch) {
+        match gather(store, tet, edges, measure, scratch) {
             Outcome::Accepted => {}
             Outcome::ClaimLost => return (Outcome::ClaimLost, DVec3::ZERO),
             other => {
@@ -73,13 +85,18 @@ pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
                 continue;
             }
         }
-        let old = scratch.cavity.iter().map(|&t| measure.grade(store.points_of(t))).fold(f64::INFINITY, f64::min);
-        let bound = best.map_or(old.max(0.0) * (1.0 + 1e-6), |(grade, ..)| grade);
+        let graded = |&t: &TetId| {
+            let grade = measure.grade(store.points_of(t));
+            if measure.is_strict(&store.vertices(t)) { strict(grade) } else { grade }
+        };
+        let old = scratch.cavity.iter().map(graded).fold(f64::INFINITY, f64::min);
+        let bound = best.map_or(limits.floor.max(old * (1.0 + 1e-6)), |(grade, ..)| grade);
         let Some((place, grade)) = best_place(store, tet, measure, scratch) else {
             last = Outcome::WouldInvert;
             continue;
         };
-        if grade > bound {
+        let nearest = scratch.star.faces.iter().flatten().map(|p| p.distance_squared(place));
+        if grade > bound && nearest.fold(f64::INFINITY, f64::min) >= limits.spacing * limits.spacing {
             best = Some((grade, old, place));
             scratch.best.clone_from(&scratch.cavity);
         }
@@ -99,7 +116,13 @@ pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
 }
 
 /// The union of the shells of some edges of `tet`, claimed, in `cavity`, with its border and star.
-fn gather<S: TetStore + ?Sized>(store: &mut S, tet: TetId, edges: &[usize], scratch: &mut SliverScratch) -> Outcome {
+fn gather<S: TetStore + ?Sized, M: TetMeasure>(
+    store: &mut S,
+    tet: TetId,
+    edges: &[usize],
+    measure: &M,
+    scratch: &mut SliverScratch,
+) -> Outcome {
     scratch.cavity.clear();
     for &edge in edges {
         let [a, b] = TET_EDGES[edge];
@@ -127,9 +150,12 @@ fn gather<S: TetStore + ?Sized>(store: &mut S, tet: TetId, edges: &[usize], scra
     }
     collect_border(store, scratch);
     scratch.star.faces.clear();
+    scratch.star.strict.clear();
     for at in 0..scratch.border.len() {
-        let [a, b, c] = store.face_vertices(scratch.border[at]).map(|v| store.point(v));
+        let vertices = store.face_vertices(scratch.border[at]);
+        let [a, b, c] = vertices.map(|v| store.point(v));
         scratch.star.faces.push([a, c, b]);
+        scratch.star.strict.push(measure.is_strict(&vertices));
     }
     Outcome::Accepted
 }

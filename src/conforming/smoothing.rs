@@ -23,7 +23,7 @@
 
 use glam::DVec3;
 
-use super::flip_criteria::TetMeasure;
+use super::flip_criteria::{TetMeasure, strict};
 use super::flips::{Outcome, touches_constraint};
 use crate::geometry::predicates::orient3d;
 use crate::index::{TetFace, TetId, VertexId};
@@ -75,6 +75,8 @@ pub struct SmoothingRule {
 pub struct Star {
     /// Corners (a, b, c) with (a, b, c, P) positive. 72 B / face.
     pub faces: Vec<[DVec3; 3]>,
+    /// Which faces give tets that are graded strictly, in the order of `faces`; read by the search only. 1 B / face.
+    pub strict: Vec<bool>,
     grades: Vec<f64>,
 }
 
@@ -85,6 +87,20 @@ impl Star {
         let mut worst = f64::INFINITY;
         for &[a, b, c] in &self.faces {
             worst = worst.min(measure.grade([a, b, c, point]));
+            if worst <= bound {
+                break;
+            }
+        }
+        worst
+    }
+
+    /// As [`Star::grade`], with the grades of [`strict`] where they apply.
+    #[inline]
+    fn strict_grade<M: TetMeasure>(&self, measure: &M, point: DVec3, bound: f64) -> f64 {
+        let mut worst = f64::INFINITY;
+        for (&[a, b, c], &is_strict) in self.faces.iter().zip(&self.strict) {
+            let grade = measure.grade([a, b, c, point]);
+            worst = worst.min(if is_strict { strict(grade) } else { grade });
             if worst <= bound {
                 break;
             }
@@ -146,7 +162,7 @@ impl Star {
             let mut improved = false;
             while step > smallest {
                 let trial = at + step * direction;
-                let grade = self.grade(measure, trial, best);
+                let grade = self.strict_grade(measure, trial, best);
                 if grade > best {
                     at = trial;
                     improved = grade > best * 1.002 + 1e-6;
@@ -165,7 +181,10 @@ impl Star {
 
     fn grades_at<M: TetMeasure>(&mut self, measure: &M, point: DVec3) -> f64 {
         self.grades.clear();
-        self.grades.extend(self.faces.iter().map(|&[a, b, c]| measure.grade([a, b, c, point])));
+        self.grades.extend(self.faces.iter().zip(&self.strict).map(|(&[a, b, c], &is_strict)| {
+            let grade = measure.grade([a, b, c, point]);
+            if is_strict { strict(grade) } else { grade }
+        }));
         self.grades.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
@@ -210,12 +229,13 @@ pub struct Smoother {
 
 impl Smoother {
     /// Claims the ball of a vertex that no constraint touches, and builds its star.
-    fn gather<S: TetStore + ?Sized>(&mut self, store: &mut S, vertex: VertexId) -> Outcome {
+    fn gather<S: TetStore + ?Sized, M: TetMeasure>(&mut self, store: &mut S, vertex: VertexId, measure: &M) -> Outcome {
         if !store.try_claim(vertex) {
             return Outcome::ClaimLost;
         }
         let Some(start) = store.tet_of(vertex).some() else { return Outcome::NotApplicable };
         self.star.faces.clear();
+        self.star.strict.clear();
         if !store.try_claim_all(&store.vertices(start)) {
             return Outcome::ClaimLost;
         }
@@ -231,6 +251,7 @@ impl Smoother {
             let [i, j, k] = TET_FACES[local];
             let [a, b, c] = store.triangle([row[i], row[j], row[k]]);
             self.star.faces.push([a, c, b]);
+            self.star.strict.push(measure.is_strict(&[row[i], row[j], row[k]]));
             for face in 0..4 {
                 // The face's vertices are held, so that only the apex beyond is to be claimed.
                 if face != local && neighbors[face] != TetFace::NONE && walk.meet(neighbors[face].tet()) {
@@ -252,7 +273,7 @@ impl Smoother {
         measure: &M,
         rule: &SmoothingRule,
     ) -> Outcome {
-        let outcome = self.gather(store, vertex);
+        let outcome = self.gather(store, vertex, measure);
         if outcome != Outcome::Accepted {
             return outcome;
         }
@@ -287,12 +308,12 @@ impl Smoother {
         vertex: VertexId,
         measure: &M,
     ) -> Outcome {
-        let outcome = self.gather(store, vertex);
+        let outcome = self.gather(store, vertex, measure);
         if outcome != Outcome::Accepted {
             return outcome;
         }
         let at = store.point(vertex);
-        let before = self.star.grade(measure, at, f64::NEG_INFINITY);
+        let before = self.star.strict_grade(measure, at, f64::NEG_INFINITY);
         let (place, after) = self.star.search(measure, at);
         if after > before * (1.0 + 1e-6) && self.star.is_visible_from(place) {
             store.set_point(vertex, place);

@@ -12,7 +12,7 @@
 //! The first `surface_points` vertices keep their numbers and points; constrained faces and edges stay as they are.
 
 use super::options::Options;
-use super::quality_improvement::improve;
+use super::quality_improvement::{improve, treat_flat_tets};
 use super::refinement::{boundary_triangles, check_limits, initial_sizes, refine};
 use glam::DVec3;
 
@@ -24,6 +24,7 @@ use crate::mesh::sizing::Sizing;
 use crate::mesh::surface_mesh::SurfaceMesh;
 use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
+use crate::parallel::pinning::PinnedWorkers;
 use crate::statistics::Statistics;
 
 /// What decides sizes, beside the boundary and the options.
@@ -72,12 +73,18 @@ pub fn generate_volume(
         check_limits(options, complex.live_count() as f64, "made")?;
         return Ok(figures);
     }
+    let pinned = options.pin_threads.then(|| PinnedWorkers::new(context));
+    if let Some(pinned) = &pinned {
+        figures.set("threads.pinned", pinned.count() as f64);
+    }
     figures.extend(&refine(complex, &mut sizes, &field, options, context)?);
+    treat_flat_tets(complex, &mut sizes, options, context)?;
     if options.count_slivers {
         let slivers = super::quality_improvement::sliver_count(complex, context);
         figures.set("refinement.slivers", slivers as f64);
     }
     figures.extend(&improve(complex, &mut sizes, options, context)?);
+    drop(pinned);
     drop_unused_vertices(complex, input.surface_points);
     Ok(figures)
 }

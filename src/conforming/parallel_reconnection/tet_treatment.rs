@@ -1,0 +1,223 @@
+//! What one bad tet gets: edge removal, multi-face removal, better places of its vertices, vertex removal, insertion.
+//!
+//! # Method
+//! The operations are tried in this order until one improves the worst tet of what it replaces. A point is inserted
+//! only where the result is worth it ([`insertion_limits`]): the better the tet, the more is asked of the new ones.
+//!
+//! # Source
+//! [KlingnerShewchuk2007] section 3; [Drakopoulos2017] 4.9.3.
+//!
+//! # Differences
+//! Without these limits, tets whose bad angles the surface forces draw point after point, each making the worst tet a
+//! little better, until thin places are full of small tets off the boundary that nothing forces to be bad.
+//!
+//! # Invariants
+//! No operation lowers the worst tet of what it touches; tets off the boundary are graded strictly
+//! ([`super::super::flip_criteria::strict`]).
+
+use super::super::flip_criteria::{BiasedSine, StrictInside, TetMeasure};
+use super::super::flips::{Accept, Outcome, plan_edge_removal, plan_face_removal, plan_vertex_removal};
+use super::super::sliver_removal::{InsertionLimits, plan_sliver_insertion};
+use super::{Job, Kit};
+use crate::error::Result;
+use crate::index::{TetFace, TetId, VertexId};
+use crate::mesh::numbering::TET_EDGES;
+use crate::mesh::tet_store::TetStore;
+use crate::mesh::topology::ShellTet;
+use crate::parallel::speculative::Attempt;
+
+/// A tet with a smaller angle, degrees, is nearly flat: a point is inserted wherever it helps by the factor of
+/// [`FLAT_GAIN`].
+const FLAT_BELOW: f64 = 4.0;
+/// Factor by which a point must better the grade of a nearly flat tet.
+const FLAT_GAIN: f64 = 1.3;
+/// A tet with a smaller angle, degrees, gets a point where every new tet reaches that angle.
+const BAD_BELOW: f64 = 10.0;
+/// The angle that every new tet of all other insertions reaches, degrees.
+const FLOOR: f64 = 18.0;
+/// Distance that a point keeps from its neighbours there, beside the boundary, in shares of their average size: with edges
+/// below half the size of the boundary the mesh would no longer follow the size field.
+const SPACING: f64 = 0.5;
+
+/// Which operations bad tets get.
+#[derive(Debug, Clone, Copy)]
+pub struct Treatment {
+    /// Most tets around an edge that is removed.
+    pub edge_limit: usize,
+    /// Whether vertices are removed and inserted.
+    pub changes_vertices: bool,
+    /// Tets of this grade or better are left alone.
+    pub goal: f64,
+}
+
+impl Treatment {
+    /// Edge and face removal and moves of vertices.
+    pub fn topological(goal: f64) -> Self {
+        Self { edge_limit: 8, changes_vertices: false, goal }
+    }
+
+    /// All operations.
+    pub fn everything(goal: f64) -> Self {
+        Self { edge_limit: 10, changes_vertices: true, goal }
+    }
+}
+
+/// What a point inserted for a tet of `grade` must keep to; `size` is the average size of the tet's vertices.
+fn insertion_limits(grade: f64, is_off_boundary: bool, size: f64) -> InsertionLimits {
+    let grade_at = |degrees: f64| degrees.to_radians().sin();
+    if grade < grade_at(FLAT_BELOW) {
+        InsertionLimits { floor: FLAT_GAIN * grade, spacing: 0.0 }
+    } else if grade < grade_at(BAD_BELOW) {
+        InsertionLimits { floor: grade_at(BAD_BELOW), spacing: 0.0 }
+    } else {
+        InsertionLimits { floor: grade_at(FLOOR), spacing: if is_off_boundary { 0.0 } else { SPACING * size } }
+    }
+}
+
+pub(super) struct TreatJob<'a> {
+    pub sizes: &'a [f64],
+    pub on_boundary: &'a [bool],
+    pub treatment: &'a Treatment,
+}
+
+impl TreatJob<'_> {
+    fn measure(&self) -> StrictInside<'_> {
+        StrictInside { on_boundary: self.on_boundary }
+    }
+
+    /// Commits the plan in the kit; true where it was carried out.
+    fn commit<S: TetStore>(store: &mut S, kit: &mut Kit, outcome: Outcome) -> Result<bool> {
+        let done = outcome == Outcome::Accepted && kit.reconnector.commit(store)?;
+        store.release_claims();
+        if done {
+            let Kit { reconnector, touched, .. } = kit;
+            touched.extend(reconnector.scratch.plan.new.iter().flatten());
+        }
+        Ok(done)
+    }
+
+    /// Edge and face removal.
+    fn reconnect<S: TetStore>(&self, store: &mut S, kit: &mut Kit, tet: TetId) -> Result<Outcome> {
+        let mut lost = false;
+        for option in 0..10 {
+            let scratch = &mut kit.reconnector.scratch;
+            let outcome = if option < 6 {
+                let [a, b] = TET_EDGES[option];
+                let start = ShellTet::new(tet, a, b);
+                plan_edge_removal(store, start, self.treatment.edge_limit, &self.measure(), Accept::Better, scratch)
+            } else {
+                let side = TetFace::new(tet, option - 6);
+                plan_face_removal(store, side, &self.measure(), Accept::Better, scratch)
+            };
+            if Self::commit(store, kit, outcome)? {
+                return Ok(Outcome::Accepted);
+            }
+            lost |= outcome == Outcome::ClaimLost;
+        }
+        Ok(if lost { Outcome::ClaimLost } else { Outcome::WorsensQuality })
+    }
+
+    /// Moves each vertex to its best place; whether any moved.
+    fn move_vertices<S: TetStore>(&self, store: &mut S, kit: &mut Kit, row: [VertexId; 4]) -> bool {
+        let mut moved = false;
+        for vertex in row {
+            if kit.smoother.optimize(store, vertex, &self.measure()) == Outcome::Accepted {
+                kit.touched.push(vertex);
+                moved = true;
+            }
+            store.release_claims();
+        }
+        moved
+    }
+
+    /// Vertex removal, then insertion.
+    fn change_vertices<S: TetStore>(
+        &self,
+        store: &mut S,
+        kit: &mut Kit,
+        tet: TetId,
+        row: [VertexId; 4],
+    ) -> Result<Outcome> {
+        let mut lost = false;
+        for vertex in row {
+            let scratch = &mut kit.reconnector.scratch;
+            let outcome = plan_vertex_removal(store, vertex, &self.measure(), Accept::Better, scratch);
+            if Self::commit(store, kit, outcome)? {
+                kit.tally.removed += 1;
+                kit.removed.push(vertex);
+                return Ok(Outcome::Accepted);
+            }
+            lost |= outcome == Outcome::ClaimLost;
+        }
+        let Some(vertex) = kit.spare.pop() else { return Ok(Outcome::NotApplicable) };
+        let known = row.iter().filter_map(|v| self.sizes.get(v.index()).copied());
+        let size = known.clone().sum::<f64>() / known.count().max(1) as f64;
+        let grade = BiasedSine.grade(store.corners(row));
+        let limits = insertion_limits(grade, self.measure().is_strict(&row), size);
+        let Kit { slivers, reconnector, .. } = kit;
+        let scratch = &mut reconnector.scratch;
+        let (outcome, place) = plan_sliver_insertion(store, tet, vertex, limits, &self.measure(), slivers, scratch);
+        if outcome == Outcome::Accepted {
+            store.set_point(vertex, place);
+        }
+        if Self::commit(store, kit, outcome)? {
+            kit.new_sizes.push((vertex, size));
+            kit.tally.inserted += 1;
+            return Ok(Outcome::Accepted);
+        }
+        kit.spare.push(vertex);
+        Ok(if lost { Outcome::ClaimLost } else { outcome })
+    }
+}
+
+impl Job for TreatJob<'_> {
+    type Item = TetId;
+
+    fn attempt<S: TetStore>(&self, store: &mut S, kit: &mut Kit, tet: TetId) -> Result<Attempt> {
+        if !store.try_claim_tet(tet) {
+            let gone = !store.is_live(tet);
+            store.release_claims();
+            return Ok(if gone { Attempt::Done } else { Attempt::ClaimLost });
+        }
+        let row = store.vertices(tet);
+        let is_good =
+            row.contains(&VertexId::GHOST) || BiasedSine.grade(row.map(|v| store.point(v))) >= self.treatment.goal;
+        store.release_claims();
+        if is_good {
+            return Ok(Attempt::Done);
+        }
+        match self.reconnect(store, kit, tet)? {
+            Outcome::Accepted => {
+                kit.tally.done += 1;
+                return Ok(Attempt::Done);
+            }
+            Outcome::ClaimLost => return Ok(Attempt::ClaimLost),
+            _ => {}
+        }
+        let mut improved = self.move_vertices(store, kit, row);
+        if !improved && self.treatment.changes_vertices {
+            match self.change_vertices(store, kit, tet, row)? {
+                Outcome::Accepted => improved = true,
+                Outcome::ClaimLost => return Ok(Attempt::ClaimLost),
+                _ => {}
+            }
+        }
+        kit.tally.done += u64::from(improved);
+        Ok(Attempt::Done)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_better_the_tet_the_more_is_asked_of_a_point() {
+        let sine = |degrees: f64| degrees.to_radians().sin();
+        let limits = |degrees: f64, off: bool| insertion_limits(sine(degrees), off, 2.0);
+        assert_eq!((limits(1.0, false).floor, limits(1.0, false).spacing), (FLAT_GAIN * sine(1.0), 0.0));
+        assert_eq!((limits(7.0, false).floor, limits(7.0, false).spacing), (sine(10.0), 0.0));
+        assert_eq!((limits(12.0, false).floor, limits(12.0, false).spacing), (sine(18.0), 1.0));
+        assert_eq!((limits(12.0, true).floor, limits(12.0, true).spacing), (sine(18.0), 0.0));
+    }
+}
