@@ -11,6 +11,7 @@
 //! About 24 bytes per vertex and 20 per tet beside the mesh.
 
 use glam::DVec3;
+use rustc_hash::FxHashMap;
 
 use crate::index::{Label, VertexId};
 use crate::lattice::boundary_targets::{SourcePoints, outside_of};
@@ -37,6 +38,7 @@ pub struct ImprovementMesh<'a> {
     balls: Vec<Vec<u32>>,
     side_set: Vec<u32>,
     sets: Vec<Vec<Side>>,
+    set_numbers: FxHashMap<Vec<Side>, u32>,
     free: Vec<u32>,
     scratch: Ball,
 }
@@ -76,6 +78,7 @@ impl<'a> ImprovementMesh<'a> {
             fixed,
             balls,
             sets: vec![Vec::new()],
+            set_numbers: FxHashMap::from_iter([(Vec::new(), 0)]),
             free: Vec::new(),
             scratch: Ball::default(),
         };
@@ -104,11 +107,13 @@ impl<'a> ImprovementMesh<'a> {
     }
 
     fn intern(&mut self, set: Vec<Side>) -> u32 {
-        let found = self.sets.iter().position(|s| *s == set);
-        found.unwrap_or_else(|| {
-            self.sets.push(set);
-            self.sets.len() - 1
-        }) as u32
+        if let Some(found) = self.set_numbers.get(&set) {
+            return *found;
+        }
+        let number = self.sets.len() as u32;
+        self.set_numbers.insert(set.clone(), number);
+        self.sets.push(set);
+        number
     }
 
     /// Sides that meet at a vertex; empty inside of a label.
@@ -144,7 +149,9 @@ impl<'a> ImprovementMesh<'a> {
     /// Points of a tet.
     #[inline]
     pub fn corners(&self, t: u32) -> [DVec3; 4] {
-        self.tets[t as usize].map(|v| self.points[v as usize])
+        // Written out: a closure over the row is not inlined into the loops that call this most.
+        let [a, b, c, d] = self.tets[t as usize];
+        [self.points[a as usize], self.points[b as usize], self.points[c as usize], self.points[d as usize]]
     }
 
     /// Score of a tet.
@@ -163,7 +170,8 @@ impl<'a> ImprovementMesh<'a> {
         ball.fill(self.ball(v).iter().map(|t| {
             let tet = self.tets[*t as usize];
             let own = tet.iter().position(|w| *w == v).unwrap_or(0);
-            TET_FACES[own].map(|c| self.points[tet[c] as usize])
+            let [a, b, c] = TET_FACES[own];
+            [self.points[tet[a] as usize], self.points[tet[b] as usize], self.points[tet[c] as usize]]
         }));
     }
 
@@ -191,14 +199,17 @@ impl<'a> ImprovementMesh<'a> {
         for &t in self.ball(v) {
             let tet = self.tets[t as usize];
             let own = tet.iter().position(|w| *w == v).unwrap_or(0);
+            // The other vertices in outward order seen from outside of the face opposite to v: with v, each pair of them in
+            // reverse order is an outward face.
+            let [p, q, r] = TET_FACES[own];
+            let rest = [tet[p], tet[q], tet[r]];
             // A face between two sides has all its vertices on the surface.
-            let on = [0, 1, 2, 3].map(|c| c != own && self.is_on_surface(tet[c]));
-            // The face opposite to corner `off`, turned until `own` comes first.
-            for off in (0..4).filter(|off| *off != own && (0..4).all(|c| c == *off || c == own || on[c])) {
-                let face = TET_FACES[off];
-                let at = face.iter().position(|c| *c == own).unwrap_or(0);
-                let [a, b] = [tet[face[(at + 1) % 3]], tet[face[(at + 2) % 3]]];
-                entries.push((u64::from(a.min(b)) << 32 | u64::from(a.max(b)), t, [a, b]));
+            let on = [self.is_on_surface(rest[0]), self.is_on_surface(rest[1]), self.is_on_surface(rest[2])];
+            for (first, second) in [(0, 1), (1, 2), (2, 0)] {
+                if on[first] && on[second] {
+                    let (b, a) = (rest[first], rest[second]);
+                    entries.push((u64::from(a.min(b)) << 32 | u64::from(a.max(b)), t, [a, b]));
+                }
             }
         }
         entries.sort_unstable();

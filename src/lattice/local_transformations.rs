@@ -235,7 +235,8 @@ fn contract_edge(mesh: &mut ImprovementMesh, from: u32, to: u32, needed: &Thresh
     // Quality fails far more often than topology, and at the first tets.
     let is_good = |t: &u32| {
         let tet = mesh.tets[*t as usize];
-        tet.contains(&to) || !tet_fails(tet.map(place), needed)
+        let [a, b, c, d] = tet;
+        tet.contains(&to) || !tet_fails([place(a), place(b), place(c), place(d)], needed)
     };
     if !mesh.ball(from).iter().all(is_good) || !contraction_is_safe(mesh, from, to) {
         return false;

@@ -32,6 +32,9 @@ const JUNCTION_DAMPING: f64 = 0.02;
 /// Newton steps of a projection.
 const PROJECTION_STEPS: usize = 4;
 
+/// A step this short, in voxels of the smallest spacing, is the last: what is left is of second order, a hundredth of a voxel.
+const LAST_STEP: f64 = 0.06;
+
 /// What lies on one side of a surface: a label, or a border plane of the image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Side {
@@ -135,13 +138,21 @@ impl<'a> SubvoxelSurface<'a> {
 
     /// Sums over the voxels around a point: `f_a - f_b`, its gradient, and `f_a + f_b`.
     fn smoothed(&self, point: DVec3, a: Label, b: Label) -> (f64, DVec3, f64) {
-        let [x, y, z] = [0, 1, 2].map(|axis| self.axis_weights(axis, point[axis]));
+        let x = self.axis_weights(0, point.x);
+        let y = self.axis_weights(1, point.y);
+        let z = self.axis_weights(2, point.z);
+        let is_inside = x.voxel[5] - x.voxel[0] == 5;
         let whole: (f64, f64) = (x.value.iter().sum(), x.slope.iter().sum());
         let (mut value, mut gradient, mut presence) = (0.0, DVec3::ZERO, 0.0);
         for k in 0..6 {
             for j in 0..6 {
                 let row = self.size[0] * (y.voxel[j] + self.size[1] * z.voxel[k]);
-                let labels = x.voxel.map(|i| self.voxels[row + i]);
+                let mut labels = [Label::BACKGROUND; 6];
+                if is_inside {
+                    labels.copy_from_slice(&self.voxels[row + x.voxel[0]..row + x.voxel[0] + 6]);
+                } else {
+                    labels.iter_mut().zip(&x.voxel).for_each(|(label, i)| *label = self.voxels[row + i]);
+                }
                 let Some((sum, slope, weight)) = row_sums(&labels, &x, whole, a, b) else { continue };
                 let plane = y.value[j] * z.value[k];
                 value += plane * sum;
@@ -238,7 +249,7 @@ impl<'a> SubvoxelSurface<'a> {
     /// The point of the junction of `sides` near `point`, at most `reach` (mm) away; `None` where there is none.
     pub fn project(&self, point: DVec3, sides: &[Side], reach: f64) -> Option<DVec3> {
         let mut at = point;
-        let tolerance = 0.01 * self.spacing.min_element();
+        let tolerance = LAST_STEP * self.spacing.min_element();
         let longest = 0.75 * self.spacing.max_element();
         for _ in 0..PROJECTION_STEPS {
             let (step, _) = self.step_to_junction(at, sides)?;
@@ -265,11 +276,12 @@ impl<'a> SubvoxelSurface<'a> {
 #[inline]
 fn row_sums(labels: &[Label; 6], x: &AxisWeights, whole: (f64, f64), a: Label, b: Label) -> Option<(f64, f64, f64)> {
     // Most rows hold one label only.
-    if labels.iter().all(|l| *l == labels[0]) {
-        return match labels[0] {
-            label if label == a => Some((whole.0, whole.1, whole.0)),
-            label if label == b => Some((-whole.0, -whole.1, whole.0)),
-            _ => None,
+    let [first, l1, l2, l3, l4, l5] = *labels;
+    if (l1 == first) & (l2 == first) & (l3 == first) & (l4 == first) & (l5 == first) {
+        return if first == a {
+            Some((whole.0, whole.1, whole.0))
+        } else {
+            (first == b).then_some((-whole.0, -whole.1, whole.0))
         };
     }
     let (mut sum, mut slope, mut weight) = (0.0, 0.0, 0.0);

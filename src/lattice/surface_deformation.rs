@@ -101,7 +101,7 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
         matrix.add(vertex.index(), vertex.index(), DMat3::from_diagonal(DVec3::splat(HELD)));
     }
     let diagonals: Vec<DMat3> = input.sources.vertices.iter().map(|v| matrix.diagonal(v.index())).collect();
-    let body = Body { model: &model, diagonals, held, near: tets_at_sources(mesh, input.sources) };
+    let body = Body { diagonals, held, near: tets_at_sources(mesh, input.sources) };
     for _ in 0..input.options.smoothing_iterations {
         context.check()?;
         let displacements = displacements_of(mesh, input, &body, &mut matrix, &mut summary, context)?;
@@ -115,8 +115,7 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
 }
 
 /// What stays the same in all iterations.
-struct Body<'a> {
-    model: &'a ModelPattern,
+struct Body {
     /// Diagonal block of the stiffness at each source point.
     diagonals: Vec<DMat3>,
     /// Vertices that must not move.
@@ -218,7 +217,9 @@ fn scale_confidence(
     let bound = Threshold::of(input.options.min_dihedral_angle);
     let is_spoiled = |t: &&u32| {
         let tet = mesh.tets[**t as usize];
-        let moved = tet.map(|v| mesh.points[v.index()] + displacements[v.index()]);
+        let [a, b, c, d] = tet;
+        let place = |v: VertexId| mesh.points[v.index()] + displacements[v.index()];
+        let moved = [place(a), place(b), place(c), place(d)];
         tet_fails(moved, &bound) && tet_score(moved) < tet_score(tet.map(|v| mesh.points[v.index()]))
     };
     let spoiled: Vec<u32> = body.near.par_iter().with_min_len(1024).filter(is_spoiled).copied().collect();

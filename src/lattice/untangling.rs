@@ -44,7 +44,10 @@ pub fn move_guarded(
     let before: Vec<DVec3> = points.to_vec();
     let mut factors = vec![1.0f64; points.len()];
     points.par_iter_mut().zip(displacements).for_each(|(p, d)| *p += *d);
-    let corners = |points: &[DVec3], t: u32| tets[t as usize].map(|v| points[v.index()]);
+    let corners = |points: &[DVec3], t: u32| {
+        let [a, b, c, d] = tets[t as usize];
+        [points[a.index()], points[b.index()], points[c.index()], points[d.index()]]
+    };
     let threshold = Threshold::of(bound);
     let is_spoiled = |points: &[DVec3], t: u32| {
         let moved = corners(points, t);
