@@ -33,7 +33,8 @@ fn head(size: usize) -> LabelImage {
     let places: Vec<DVec3> = (0..PARCELS)
         .map(|parcel| {
             let of = |axis: u64| 2.0 * number(3 * parcel + axis + 1) - 1.0;
-            DVec3::new(of(0), of(1), of(2))
+            // Well inside, so that every parcel is more than a splinter.
+            DVec3::new(of(0), of(1), of(2)).clamp_length_max(0.7)
         })
         .collect();
     let label = |at: DVec3| {

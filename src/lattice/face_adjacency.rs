@@ -14,6 +14,7 @@ use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::mesh::numbering::TET_FACES;
+use crate::parallel::shared_rows::SharedWords;
 
 /// No element behind a face.
 pub const OUTSIDE: u32 = u32::MAX;
@@ -47,10 +48,12 @@ pub fn neighbors_of(tets: &[[u32; 4]], vertex_count: usize) -> Result<Vec<[u32; 
     let pairs: Vec<Vec<[u32; 2]>> = (0..BUCKETS).into_par_iter().map(|b| matched(&chunks, b)).collect::<Result<_>>()?;
     drop(chunks);
     let mut neighbors = vec![[OUTSIDE; 4]; tets.len()];
-    for [a, b] in pairs.into_iter().flatten() {
-        neighbors[(a >> 2) as usize][(a & 3) as usize] = b >> 2;
-        neighbors[(b >> 2) as usize][(b & 3) as usize] = a >> 2;
-    }
+    // Each side of a face is written once: the same result in any order.
+    let rows = SharedWords::new(neighbors.as_flattened_mut());
+    pairs.into_par_iter().flatten_iter().for_each(|[a, b]| {
+        rows.store(a as usize, b >> 2);
+        rows.store(b as usize, a >> 2);
+    });
     Ok(neighbors)
 }
 

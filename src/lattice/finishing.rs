@@ -20,6 +20,9 @@ use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
 use crate::mesh::mixed_mesh::{BoundaryFaces, ElementKind, MixedMesh, Space};
 use crate::mesh::numbering::{HEX_FACES, PYRAMID_BASE, PYRAMID_TRIANGLES, QUADRATIC_TET_EDGES, TET_FACES};
 
+/// Tets per parallel work item.
+const CHUNK: usize = 1 << 14;
+
 /// The mesh in world coordinates with the caller's labels and its boundary.
 ///
 /// # Errors
@@ -33,14 +36,11 @@ pub fn to_world(mesh: &CandidateMesh, grid: &Grid, values: &[i32]) -> Result<Mix
     let mirrored = !grid.is_right_handed();
     let entries = 4 * mesh.tets.len() + 5 * mesh.pyramids.len() + 8 * mesh.hexahedra.len();
     result.connectivity.reserve_exact(entries);
-    result.offsets.reserve_exact(mesh.element_count() + 1);
-    result.offsets.push(0);
-    let kinds = [
-        (ElementKind::Tet, mesh.tets.len()),
-        (ElementKind::Pyramid, mesh.pyramids.len()),
-        (ElementKind::Hexahedron, mesh.hexahedra.len()),
-    ];
-    for (kind, count) in kinds {
+    let offset_of_tet = |t: usize| 4 * t as i64;
+    result.offsets = (0..=mesh.tets.len()).into_par_iter().map(offset_of_tet).collect();
+    result.types = vec![ElementKind::Tet.vtk_type(); mesh.tets.len()];
+    for (kind, count) in [(ElementKind::Pyramid, mesh.pyramids.len()), (ElementKind::Hexahedron, mesh.hexahedra.len())]
+    {
         result.types.resize(result.types.len() + count, kind.vtk_type());
         for _ in 0..count {
             let last = result.offsets[result.offsets.len() - 1];
@@ -48,11 +48,14 @@ pub fn to_world(mesh: &CandidateMesh, grid: &Grid, values: &[i32]) -> Result<Mix
         }
     }
     let order = |order: &[usize], row: &[VertexId], out: &mut Vec<VertexId>| out.extend(order.iter().map(|i| row[*i]));
-    let (tet, pyramid, hex): (&[usize], &[usize], &[usize]) = match mirrored {
-        false => (&[0, 1, 2, 3], &[0, 1, 2, 3, 4], &[0, 1, 2, 3, 4, 5, 6, 7]),
-        true => (&[0, 1, 3, 2], &[0, 3, 2, 1, 4], &[0, 3, 2, 1, 4, 7, 6, 5]),
+    let (pyramid, hex): (&[usize], &[usize]) = match mirrored {
+        false => (&[0, 1, 2, 3, 4], &[0, 1, 2, 3, 4, 5, 6, 7]),
+        true => (&[0, 3, 2, 1, 4], &[0, 3, 2, 1, 4, 7, 6, 5]),
     };
-    mesh.tets.iter().for_each(|t| order(tet, t, &mut result.connectivity));
+    result.connectivity.extend_from_slice(mesh.tets.as_flattened());
+    if mirrored {
+        result.connectivity.par_chunks_exact_mut(4).for_each(|tet| tet.swap(2, 3));
+    }
     mesh.pyramids.iter().for_each(|p| order(pyramid, p, &mut result.connectivity));
     mesh.hexahedra.iter().for_each(|h| order(hex, h, &mut result.connectivity));
     let labels = mesh.tet_labels.iter().chain(&mesh.pyramid_labels).chain(&mesh.hexahedron_labels);
@@ -72,15 +75,25 @@ pub fn boundary_of(mesh: &MixedMesh) -> Result<BoundaryFaces> {
 fn boundary_of_tets(mesh: &MixedMesh) -> Result<BoundaryFaces> {
     let tets: &[[u32; 4]] = bytemuck::cast_slice(mesh.tets()?);
     let neighbors = neighbors_of(tets, mesh.points.len())?;
-    let mut boundary = BoundaryFaces::default();
-    for (t, near) in neighbors.iter().enumerate() {
-        for (f, other) in near.iter().enumerate() {
-            let outer = (*other != OUTSIDE).then_some(*other as usize);
-            if is_listed_from(mesh, t, outer) {
-                boundary.triangles.push(TET_FACES[f].map(|v| VertexId(tets[t][v])));
-                push_sides(mesh, &mut boundary, t, outer);
+    let part = |(chunk, rows): (usize, &[[u32; 4]])| {
+        let mut boundary = BoundaryFaces::default();
+        for (t, near) in rows.iter().enumerate().map(|(at, near)| (chunk * CHUNK + at, near)) {
+            for (f, other) in near.iter().enumerate() {
+                let outer = (*other != OUTSIDE).then_some(*other as usize);
+                if is_listed_from(mesh, t, outer) {
+                    boundary.triangles.push(TET_FACES[f].map(|v| VertexId(tets[t][v])));
+                    push_sides(mesh, &mut boundary, t, outer);
+                }
             }
         }
+        boundary
+    };
+    let parts: Vec<BoundaryFaces> = neighbors.par_chunks(CHUNK).enumerate().map(part).collect();
+    let mut boundary = BoundaryFaces::default();
+    for part in parts {
+        boundary.triangles.extend(part.triangles);
+        boundary.labels.extend(part.labels);
+        boundary.elements.extend(part.elements);
     }
     Ok(boundary)
 }
