@@ -67,10 +67,10 @@ int main(int argc, char **argv) {
         grid->GetCellData()->AddArray(labels);
 
         if (coordinates->GetPointer(0) != mesh.points().data()) return 1;
-        double worst = 180.0;
+        double worst = 1.0;
         for (vtkIdType cell = 0; cell < cells; ++cell)
-            worst = std::min(worst, vtkMeshQuality::TetMinAngle(grid->GetCell(cell)));
-        std::cout << grid->GetNumberOfCells() << " cells, smallest dihedral angle " << worst << " degrees\n";
+            worst = std::min(worst, vtkMeshQuality::TetScaledJacobian(grid->GetCell(cell)));
+        std::cout << grid->GetNumberOfCells() << " cells, smallest scaled Jacobian " << worst << '\n';
 
         vtkNew<vtkXMLUnstructuredGridWriter> writer;
         writer->SetFileName(argc > 1 ? argv[1] : "09_vtk_grid.vtu");

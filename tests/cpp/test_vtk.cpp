@@ -125,11 +125,10 @@ static std::array<double, 6> dihedral_angles(vtkCell *cell) {
     return angles;
 }
 
-/// What TetMinAngle of this VTK gives for these angles. VTK 9.1 takes the supplements of those at edges 02 and 13: its
-/// normals there point one inwards, one outwards. Later versions do not.
+/// What VTK's TetMinAngle gives for these angles. It takes the supplements of those at edges 02 and 13, because its normals
+/// there point one inwards, one outwards (seen in VTK 9.1 and 9.6; another version may not).
 static double min_angle_of_vtk(std::array<double, 6> angles) {
-    if (VTK_MAJOR_VERSION == 9 && VTK_MINOR_VERSION <= 1)
-        for (int edge : {1, 4}) angles[edge] = 180.0 - angles[edge];
+    for (int edge : {1, 4}) angles[edge] = 180.0 - angles[edge];
     return *std::min_element(angles.begin(), angles.end());
 }
 

@@ -1,5 +1,6 @@
-"""Looks at a finished mesh: labels, quality histogram, one mesh per label. Needs VTK only."""
+"""Looks at a finished mesh: labels, quality histogram, one mesh per label. Needs VTK and NumPy only."""
 
+import numpy as np
 import vtk
 from vtk.util.numpy_support import vtk_to_numpy
 
@@ -31,13 +32,17 @@ def split_by_label(mesh):
 
 
 def minimum_dihedral_angles(mesh):
-    """The smallest dihedral angle of each tetrahedron, degrees."""
-    quality = vtk.vtkMeshQuality()
-    quality.SetInputData(mesh)
-    quality.SetTetQualityMeasureToMinAngle()
-    quality.Update()
-    angles = vtk_to_numpy(quality.GetOutput().GetCellData().GetArray("Quality"))
-    return [angle for cell, angle in enumerate(angles) if mesh.GetCellType(cell) == vtk.VTK_TETRA]
+    """The smallest dihedral angle of each tetrahedron, degrees. vtkMeshQuality takes supplements at two edges."""
+    types = mesh.GetCellTypesArray() if hasattr(mesh, "GetCellTypesArray") else mesh.GetCellTypes()
+    starts = vtk_to_numpy(mesh.GetCells().GetOffsetsArray())[:-1][vtk_to_numpy(types) == vtk.VTK_TETRA]
+    corners = vtk_to_numpy(mesh.GetCells().GetConnectivityArray())[starts[:, None] + np.arange(4)]
+    points = vtk_to_numpy(mesh.GetPoints().GetData()).astype(float)[corners]
+    normals = []
+    for a, b, c in ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)):  # opposite to corners 0 to 3, outwards
+        normal = np.cross(points[:, b] - points[:, a], points[:, c] - points[:, a])
+        normals.append(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+    cosines = [-np.einsum("ij,ij->i", normals[f], normals[g]) for f in range(4) for g in range(f)]
+    return np.degrees(np.arccos(np.clip(np.max(cosines, axis=0), -1.0, 1.0))).tolist()
 
 
 def dihedral_histogram(mesh):

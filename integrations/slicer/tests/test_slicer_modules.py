@@ -138,6 +138,29 @@ def test_an_unknown_parameter_is_refused():
         command_line.set_cli_parameters(Node(), {"latice-spacing": 3})
 
 
+def test_the_smallest_dihedral_angle_is_that_of_known_tetrahedra():
+    grid, points = vtk.vtkUnstructuredGrid(), vtk.vtkPoints()
+    points.SetDataTypeToDouble()
+    # A regular one, the corner of a cube, and one of 120 degrees at its edge 02, where vtkMeshQuality takes 60.
+    half, root = np.sqrt(0.75), np.sqrt(2.0 / 3.0)
+    shapes = [
+        [(0, 0, 0), (1, 0, 0), (0.5, half, 0), (0.5, half / 3, root)],
+        [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)],
+        [(0, 0, 0), (2, 0, 1), (0, 0, 2), (-1, 2 * half, 1)],
+    ]
+    grid.SetPoints(points)
+    for shape in shapes:
+        corners = [points.InsertNextPoint(point) for point in shape]
+        grid.InsertNextCell(vtk.VTK_TETRA, 4, corners)
+    grid.InsertNextCell(vtk.VTK_TRIANGLE, 3, [0, 1, 2])
+    angles = results.minimum_dihedral_angles(grid)
+    assert np.allclose(angles[:2], np.degrees([np.arccos(1 / 3), np.arccos(1 / np.sqrt(3))]), atol=1e-9)
+    a, b, c, d = (np.array(point, float) for point in shapes[2])
+    normals = [np.cross(q - p, r - p) for p, q, r in ((b, c, d), (a, d, c), (a, b, d), (a, c, b))]
+    cosines = [-np.dot(m, n) / np.linalg.norm(m) / np.linalg.norm(n) for k, m in enumerate(normals) for n in normals[:k]]
+    assert len(angles) == 3 and np.isclose(angles[2], np.degrees(np.arccos(max(cosines))), atol=1e-9)
+
+
 def test_per_label_values_are_sorted():
     merged = command_line.parameters_of({"fidelity": 0.8}, {"lattice-spacing": None}, {"fidelity": {3: 0.9, 1: 0.75}})
     assert merged == {"fidelity": 0.8, "fidelity-for": "1=0.75,3=0.9"}
