@@ -13,6 +13,8 @@
 #include <sofa/simulation/graph/DAGSimulation.h>
 
 #include <cmath>
+#include <cstdio>
+#include <fstream>
 #include <iostream>
 #include <sstream>
 #include <string>
@@ -140,6 +142,45 @@ static void meshesASurface()
     sofa::simulation::node::unload(root);
 }
 
+/// A scan of a textured ball of tissue, as a text NRRD file; `shift` is how far its points came along z since the moving scan.
+static void writeScan(const std::string& path, int size, double shift, bool isSegmentation)
+{
+    std::ofstream file(path);
+    file << "NRRD0004\ntype: float\ndimension: 3\nsizes: " << size << ' ' << size << ' ' << size << "\nspacings: 1 1 1\nencoding: ascii\n\n";
+    const double center = 0.5 * (size - 1), radius = center - 3.0;
+    for (int k = 0; k < size; ++k)
+        for (int j = 0; j < size; ++j)
+            for (int i = 0; i < size; ++i)
+            {
+                const double x = i - center, y = j - center, z = k - center;
+                const double w = z + shift * (z + center) / (2.0 * center);
+                const double texture = 100.0 + 30.0 * std::sin(0.55 * x + 0.2 * y) * std::cos(0.45 * y - 0.3 * w) + 25.0 * std::sin(0.6 * w + 0.3 * x);
+                file << (x * x + y * y + w * w < radius * radius ? (isSegmentation ? 1.0 : texture) : 0.0) << ' ';
+            }
+}
+
+static void registersTwoScans()
+{
+    const std::string moving = "registration_moving.nrrd", fixed = "registration_fixed.nrrd", labels = "registration_labels.nrrd";
+    writeScan(moving, 32, 0.0, false);
+    writeScan(fixed, 32, 2.5, false);
+    writeScan(labels, 32, 0.0, true);
+    auto root = api::createRootNode(simulation, "root");
+    api::createObject(root, "BiomechanicalRegistration", {{"name", "registration"}, {"movingImage", moving}, {"fixedImage", fixed},
+        {"segmentedImage", labels}, {"threads", "1"}});
+    sofa::simulation::node::initRoot(root.get());
+    expect(valueOf(root, "registration", "componentState") == "Valid", "the registration is valid");
+    std::istringstream text(valueOf(root, "registration", "outputDisplacements"));
+    double x = 0.0, y = 0.0, z = 0.0, sum = 0.0;
+    int count = 0;
+    for (; text >> x >> y >> z; ++count) { sum += z; }
+    // A point at w of the moving scan is at z < w in the fixed scan: the tissue moved down by 0 to 2.5 mm.
+    std::cout << "mean displacement along z " << sum / count << " mm at " << count << " points" << std::endl;
+    expect(count > 50 && sum / count < -0.5 && sum / count > -2.0, "its displacements are those of the tissue");
+    sofa::simulation::node::unload(root);
+    for (const std::string& path : {moving, fixed, labels}) { std::remove(path.c_str()); }
+}
+
 /// The example scenes load as they are: every component is made, every attribute is known. The files that two of them name are the
 /// user's, so that their mesher says it has no file; the third meshes the liver that SOFA brings, where that is installed.
 static void theExampleScenesLoad()
@@ -184,6 +225,7 @@ int main()
     }
     meshesAnImageAndRunsAFiniteElementBody();
     meshesASurface();
+    registersTwoScans();
     badInputIsAComponentStateAndTheSceneLivesOn();
     theExampleScenesLoad();
     std::cout << failures << " failures" << std::endl;

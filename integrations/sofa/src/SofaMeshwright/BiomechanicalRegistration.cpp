@@ -23,7 +23,7 @@ BiomechanicalRegistration::BiomechanicalRegistration()
     , d_outputField(initData(&d_outputField, "outputDeformationField", "File for the displacement field (.nrrd, .nii.gz, .mha); empty for none"))
     , d_outputImage(initData(&d_outputImage, "outputImage", "File for the warped scan; empty for none"))
     , d_tumorResection(initData(&d_tumorResection, false, "tumorResection", "True when tissue was removed between the scans"))
-    , d_outputDisplacements(initData(&d_outputDisplacements, "outputDisplacements", "Displacement of each of outputPoints, mm"))
+    , d_outputDisplacements(initData(&d_outputDisplacements, "outputDisplacements", "How far each of outputPoints came from the moving to the fixed scan, mm"))
     , d_sourcePoints(initData(&d_sourcePoints, "sourcePoints", "Centres of the matched blocks in the moving scan"))
     , d_targetPoints(initData(&d_targetPoints, "targetPoints", "Where the blocks were found in the fixed scan"))
 {

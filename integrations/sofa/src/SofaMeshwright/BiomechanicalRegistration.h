@@ -23,7 +23,7 @@ public:
     sofa::core::objectmodel::DataFileName d_outputImage;    ///< where to write the warped scan; empty: nowhere
     sofa::Data<bool> d_tumorResection;                      ///< tissue was removed between the scans
 
-    sofa::Data<VecCoord> d_outputDisplacements;             ///< displacement of each point of outputPoints, mm
+    sofa::Data<VecCoord> d_outputDisplacements;             ///< from the moving to the fixed scan, one per outputPoints, mm
     sofa::Data<VecCoord> d_sourcePoints;                    ///< centres of the matched blocks
     sofa::Data<VecCoord> d_targetPoints;                    ///< where they were found
 
