@@ -29,12 +29,13 @@ use rayon::prelude::*;
 
 use super::block_matching::{BlockMatch, MatchImage, MatchOutcome, MatchSettings, match_blocks};
 use super::deformation_solve::{BlockMeasurements, materials, solve_deformation, with_shape_functions};
-use super::displacement_field::{compose, field_of_mesh, repair_folds, rigid_field};
+use super::displacement_field::{before_rigid, field_of_mesh, repair_folds, rigid_field};
 use super::feature_points::select_features;
 use super::missing_correspondence::pair_with_surface;
-use super::options::{FeatureOptions, MatchingDirection, MeshOptions, Options, Resection};
+use super::neighborhood_test::agreeing;
+use super::options::{FeatureOptions, MatchingDirection, MeshOptions, Options, Resection, apply};
 use super::report::IterationReport;
-use super::resection::{Scene, fill_hole, find_cavity, resected_model};
+use super::resection::{CAVITY_REACH, Scene, fill_hole, find_cavity, grow, resected_model};
 use super::working_grid::coarser;
 use crate::context::RunContext;
 use crate::error::{Error, Finding, FindingCode, Result, Severity};
@@ -60,6 +61,12 @@ const COARSE_SHARE: f64 = 0.34;
 
 /// How hard matched blocks pull against the mesh at a trade-off of 1: chosen on simulated operations.
 const DATA_STIFFNESS: f64 = 8.0;
+
+/// Matches are compared with their neighbours up to this distance, voxels.
+const REACH: f64 = 9.0;
+
+/// Uncertainty of a single match, voxels.
+const UNCERTAINTY: f64 = 0.3;
 
 /// Folding limit while the loop runs; the returned field is held to the caller's limit.
 const LOOP_JACOBIAN: f64 = 0.05;
@@ -155,7 +162,7 @@ pub fn adaptive_loop(
         context.progress("registration", 0.15 + 0.7 * iteration as f64 / count as f64);
         let is_coarse = iteration < coarse_count;
         let window = window_of(options.matching.half_window, iteration, coarse_count);
-        state.iterate(if is_coarse { &coarse } else { &fine }, window, iteration + 1 == count)?;
+        state.iterate(if is_coarse { &coarse } else { &fine }, window)?;
         if !is_coarse && state.is_settled() {
             break;
         }
@@ -209,7 +216,7 @@ struct State<'a> {
 }
 
 impl State<'_> {
-    fn iterate(&mut self, scale: &Scale, half_window: [usize; 3], is_last: bool) -> Result<()> {
+    fn iterate(&mut self, scale: &Scale, half_window: [usize; 3]) -> Result<()> {
         let mut report = IterationReport { spacing: scale.grid.spacing().x, ..IterationReport::default() };
         let mut clock = Instant::now();
         let mut lap = |slot: &mut f64| {
@@ -223,14 +230,11 @@ impl State<'_> {
         lap(&mut report.seconds[0]);
         let matches = self.matches(scale, &warped, &tissue, half_window, &mut report)?;
         lap(&mut report.seconds[2]);
-        let update = self.solve(&mesh, filling, &matches, &mut report)?;
+        let mut field = self.solve(&mesh, filling, &matches, scale.grid.spacing().x, &mut report)?;
         lap(&mut report.seconds[3]);
-        if is_last || self.options.adaptive.enabled {
-            self.remember_blocks(&matches);
-        }
-        report.mean_update = mean_length(&update, &self.coarse.foreground);
-        self.field = compose(&update, &self.field)?;
-        repair_folds(&mut self.field, LOOP_JACOBIAN);
+        repair_folds(&mut field, LOOP_JACOBIAN);
+        report.mean_update = mean_distance(&field, &self.field, &self.coarse.foreground);
+        self.field = field;
         lap(&mut report.seconds[4]);
         self.reports.push(report);
         Ok(())
@@ -282,13 +286,27 @@ impl State<'_> {
         Ok(MatchImage::new(values, scale.grid.size(), self.options.features.half_block, self.options.matching.metric))
     }
 
-    /// Voxels of a scale that are not in the cavity; background beside the brain counts, its edge is structure.
+    /// Voxels of a scale that are neither in the cavity nor at its rim, where fluid mixes with tissue; background beside the brain
+    /// counts, its edge is structure.
     fn tissue(&self, scale: &Scale) -> Vec<bool> {
         let grid = &self.coarse.grid;
-        map_voxels(&scale.grid, |point, _| {
+        let hole = map_voxels(&scale.grid, |point, _| {
             let at = nearest_offset(grid.size(), grid.world_to_index(point));
-            !at.is_some_and(|at| self.cavity[at])
-        })
+            at.is_some_and(|at| self.cavity[at])
+        });
+        grow(hole, |_| true, scale.grid.size(), 1).into_iter().map(|h| !h).collect()
+    }
+
+    /// Voxels of a scale where blocks of the moving scan may have no counterpart: tumour, and what lies around the cavity.
+    fn uncertain(&self, scale: &Scale, tissue: &[bool], labels: &LabelImage) -> Vec<bool> {
+        if tissue.iter().all(|t| *t) {
+            return vec![false; tissue.len()];
+        }
+        let tumor = labels.label_of(2);
+        let hole = tissue.iter().map(|t| !t).collect();
+        let steps = (CAVITY_REACH / scale.grid.spacing().x).ceil() as usize;
+        let near = grow(hole, |_| true, scale.grid.size(), steps);
+        near.into_iter().zip(labels.voxels()).map(|(near, label)| near || Some(*label) == tumor).collect()
     }
 
     fn matches(
@@ -326,7 +344,9 @@ impl State<'_> {
         }
         if options.direction != MatchingDirection::FixedToMoving {
             let labels = warp_labels(self.scans.segmentation, &self.field, &scale.grid)?;
-            let mask: Vec<bool> = labels.voxels().iter().zip(tissue).map(|(l, t)| l.0 != 0 && *t).collect();
+            let uncertain = self.uncertain(scale, tissue, &labels);
+            let mask: Vec<bool> =
+                (0..tissue.len()).map(|at| labels.voxels()[at].0 != 0 && tissue[at] && !uncertain[at]).collect();
             let centers = select_features(warped.values(), settings.size, &mask, &features);
             let mut found = self.match_moving(scale, warped, tissue, &centers, &settings)?;
             let remaining: Vec<bool> = scale.foreground.iter().zip(tissue).map(|(f, t)| *f && *t).collect();
@@ -366,42 +386,50 @@ impl State<'_> {
         match_blocks(warped, tissue, &filled, centers, settings, self.context)
     }
 
+    /// The field that fits all matches: the mechanics act on the displacement since the rigid start, not on an update of it, so that
+    /// errors of the matches do not add up over the iterations.
     fn solve(
         &mut self,
         mesh: &MixedMesh,
         filling: i32,
         matches: &Matches,
+        spacing: f64,
         report: &mut IterationReport,
     ) -> Result<VectorImage> {
         let mut labels: Vec<i32> = mesh.labels.clone();
         labels.sort_unstable();
         labels.dedup();
         let materials = materials(self.options, &labels, filling, self.options.adaptive.enabled)?;
-        let fit =
-            solve_deformation(mesh, &matches.data, materials, DATA_STIFFNESS, &self.options.mechanics, self.context)?;
-        report.rejected = fit.status.iter().filter(|s| **s != MeasurementStatus::Used).count();
-        report.solver_iterations = fit.solves.iter().map(|s| s.iterations).sum();
-        self.blocks = fit
-            .status
+        let Matches { data, .. } = matches;
+        let agrees = agreeing(&data.points, &data.displacements, &data.weights, REACH * spacing, UNCERTAINTY * spacing);
+        let moving: Vec<DVec3> = data
+            .points
             .iter()
-            .zip(&matches.similarity)
-            .map(|(status, similarity)| Block {
-                moving: DVec3::ZERO,
-                fixed: DVec3::ZERO,
-                similarity: *similarity,
-                is_rejected: *status != MeasurementStatus::Used,
+            .zip(&data.displacements)
+            .map(|(point, step)| *point + *step + self.field.at_clamped(*point + *step))
+            .collect();
+        let to_fixed = self.rigid.inverse();
+        let kept: Vec<usize> = (0..agrees.len()).filter(|n| agrees[*n]).collect();
+        let total = BlockMeasurements {
+            points: kept.iter().map(|n| data.points[*n]).collect(),
+            displacements: kept.iter().map(|n| apply(&to_fixed, moving[*n]) - data.points[*n]).collect(),
+            weights: kept.iter().map(|n| data.weights[*n]).collect(),
+        };
+        let fit = solve_deformation(mesh, &total, materials, DATA_STIFFNESS, &self.options.mechanics, self.context)?;
+        let mut is_rejected = vec![true; agrees.len()];
+        kept.iter().zip(&fit.status).for_each(|(n, status)| is_rejected[*n] = *status != MeasurementStatus::Used);
+        report.rejected = is_rejected.iter().filter(|r| **r).count();
+        report.solver_iterations = fit.solves.iter().map(|s| s.iterations).sum();
+        self.blocks = (0..agrees.len())
+            .map(|n| Block {
+                moving: moving[n],
+                fixed: data.points[n],
+                similarity: matches.similarity[n],
+                is_rejected: is_rejected[n],
             })
             .collect();
-        field_of_mesh(mesh, &fit.displacements, &self.coarse.grid)
-    }
-
-    /// Completes the blocks with their places in both scans, by the field before its update.
-    fn remember_blocks(&mut self, matches: &Matches) {
-        for (n, block) in self.blocks.iter_mut().enumerate() {
-            let (point, step) = (matches.data.points[n], matches.data.displacements[n]);
-            block.fixed = point;
-            block.moving = point + step + self.field.at_clamped(point + step);
-        }
+        let deformation = field_of_mesh(mesh, &fit.displacements, &self.coarse.grid)?;
+        before_rigid(&deformation, self.rigid)
     }
 
     fn is_settled(&self) -> bool {
@@ -464,18 +492,17 @@ impl Matches {
     }
 }
 
-fn mean_length(field: &VectorImage, mask: &[bool]) -> f64 {
+/// Mean length of the difference of two fields over a mask.
+fn mean_distance(left: &VectorImage, right: &VectorImage, mask: &[bool]) -> f64 {
     const CHUNK: usize = 1 << 14;
-    let parts: Vec<(f64, usize)> = field
+    let parts: Vec<(f64, usize)> = left
         .vectors()
         .par_chunks(CHUNK)
+        .zip(right.vectors().par_chunks(CHUNK))
         .zip(mask.par_chunks(CHUNK))
-        .map(|(vectors, mask)| {
-            vectors
-                .iter()
-                .zip(mask)
-                .filter(|(_, m)| **m)
-                .fold((0.0, 0), |(sum, count), (v, _)| (sum + f64::from(v.length()), count + 1))
+        .map(|((left, right), mask)| {
+            let masked = left.iter().zip(right).zip(mask).filter(|(_, m)| **m);
+            masked.fold((0.0, 0), |(sum, count), ((l, r), _)| (sum + f64::from((*l - *r).length()), count + 1))
         })
         .collect();
     let (sum, count) = parts.into_iter().fold((0.0, 0), |(s, c), (a, b)| (s + a, c + b));

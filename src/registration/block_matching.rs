@@ -2,7 +2,8 @@
 //!
 //! # Method
 //! 1. Similarity of the block at every offset of the search window ([`super::similarity`]).
-//! 2. The highest value; its place to a fraction of a voxel by the quadratic that fits the 27 values around it.
+//! 2. The highest value; its place to a fraction of a voxel by the quadratic that fits the 27 values around it, and for
+//!    cross-correlation by least squares on the values from there ([`super::block_refinement`]).
 //! 3. Confidence: the structure tensor of the block times `r^2 / (1 - r^2)`, the inverse covariance of the place of a peak of
 //!    correlation r.
 //! 4. Blocks without variation, with a peak below the limit or on the border of the window have no correspondence.
@@ -23,6 +24,7 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
+use super::block_refinement::refine;
 use super::feature_points::voxel_of;
 use super::options::SimilarityMetric;
 use super::similarity::{BlockSpread, PADDING, Scratch, Search, cross_correlation, mutual_information, quantize};
@@ -191,13 +193,16 @@ fn match_block(
     if outcome != MatchOutcome::Found {
         return BlockMatch { similarity, outcome, ..none };
     }
-    let fraction = sub_voxel(&scratch.scores, extent, place);
     let whole = DVec3::from_array([0, 1, 2].map(|axis| (place[axis] as isize + search.low[axis]) as f64));
+    let mut shift = whole + sub_voxel(&scratch.scores, extent, place);
+    if settings.metric == SimilarityMetric::CrossCorrelation {
+        shift = refine(&source.padded, mask, &target.padded, size, &search, shift).unwrap_or(shift);
+    }
     let squared = f64::from(similarity).clamp(0.0, MAX_CORRELATION).powi(2);
     let tensor = structure_tensor(source.values(), Some(mask), size, center, settings.half_block, settings.spacing);
     BlockMatch {
         at,
-        shift: (whole + fraction) * settings.spacing,
+        shift: shift * settings.spacing,
         similarity,
         confidence: tensor * (squared / (1.0 - squared)),
         outcome,
@@ -296,8 +301,8 @@ mod tests {
         assert_eq!(matches, run(2));
         for found in matches {
             assert_eq!(found.outcome, MatchOutcome::Found);
-            // The nearest whole voxel is 0.54 away; the parabolas through the peak have to do better than it.
-            assert!((found.shift / 1.5 - shift).length() < 0.5, "{}", found.shift / 1.5);
+            // The parabolas through the peak end 0.45 away.
+            assert!((found.shift / 1.5 - shift).length() < 0.1, "{}", found.shift / 1.5);
         }
     }
 

@@ -3,8 +3,8 @@
 //! # Method
 //! 1. Every voxel inside the mesh takes the interpolated displacement of its element; voxels outside take the mean of their
 //!    neighbours, layer by layer, so that the field continues smoothly.
-//! 2. Composition: the updated field at y is `v(y) + d(y + v(y))`, so that the moving scan is interpolated once, whatever the number
-//!    of iterations.
+//! 2. The rigid transform R follows the deformation u: the field at y is `R(y + u(y)) - y`, so that the moving scan is interpolated
+//!    once, whatever the number of iterations.
 //! 3. Folding: the Jacobian determinant of `y + d(y)` from central differences and from the eight corners of each voxel; voxels
 //!    below the limit and their neighbours are averaged with their neighbours until none is left.
 //! 4. Inverse: Newton's method per voxel on the trilinear field.
@@ -13,8 +13,8 @@
 //! [Drakopoulos2017] section 3.7.2 (deformation field update, eq. 6).
 //!
 //! # Differences
-//! Eq. 6 adds the fields of two iterations at the same point; composition reads the earlier field at the displaced point, which
-//! is the exact sum of both motions. The repair and the inverse are ours.
+//! Eq. 6 adds the fields of the iterations; here every iteration fits the whole deformation anew to matches that add up exactly.
+//! The repair and the inverse are ours.
 //!
 //! # Invariants
 //! Same bits for any number of threads; every vector is finite.
@@ -93,16 +93,16 @@ pub(crate) fn neighbors(at: usize, size: [usize; 3]) -> impl Iterator<Item = usi
     })
 }
 
-/// The field that applies `update` first, then `field`; on the grid of `update`.
+/// The field that applies `deformation` first, then a rigid transform.
 ///
 /// # Errors
-/// None for finite fields.
-pub fn compose(update: &VectorImage, field: &VectorImage) -> Result<VectorImage> {
-    let vectors = map_voxels(update.grid(), |point, at| {
-        let step = update.vectors()[at];
-        step + field.at_clamped(point + step.as_dvec3()).as_vec3()
+/// [`crate::Error::InvalidArgument`] where it is not finite.
+pub fn before_rigid(deformation: &VectorImage, matrix: &DMat4) -> Result<VectorImage> {
+    let vectors = map_voxels(deformation.grid(), |point, at| {
+        let moved = point + deformation.vectors()[at].as_dvec3();
+        (apply(matrix, moved) - point).as_vec3()
     });
-    VectorImage::new(*update.grid(), vectors)
+    VectorImage::new(*deformation.grid(), vectors)
 }
 
 /// The field of a rigid transform on a grid.
@@ -318,13 +318,13 @@ mod tests {
     }
 
     #[test]
-    fn composition_applies_the_update_first() {
-        let (update, field) = (wave(1.0), wave(1.5));
-        let both = compose(&update, &field).unwrap();
+    fn the_deformation_comes_before_the_rigid_transform() {
+        let matrix = DMat4::from_rotation_z(0.5) * DMat4::from_translation(DVec3::new(3.0, -2.0, 1.0));
+        let deformation = wave(1.0);
+        let both = before_rigid(&deformation, &matrix).unwrap();
         let at = grid().offset(12, 13, 14);
         let point = grid().index_to_world(DVec3::new(12.0, 13.0, 14.0));
-        let between = point + update.vectors()[at].as_dvec3();
-        let expected = between + field.at(between).unwrap();
+        let expected = matrix.transform_point3(point + deformation.vectors()[at].as_dvec3());
         assert!((point + both.vectors()[at].as_dvec3() - expected).length() < 1e-5);
     }
 }

@@ -6,7 +6,7 @@
 //! 3. [`rigid`]: rotation and translation by mutual information.
 //! 4. [`working_grid`]: one isotropic grid for both scans.
 //! 5. [`adaptive_loop`]: warp, [`resection`], mesh ([`structured_mesh`] or the mesher passed in), [`feature_points`],
-//!    [`block_matching`] ([`similarity`], [`structure_tensor`]), [`missing_correspondence`], [`deformation_solve`],
+//!    [`block_matching`] ([`similarity`], [`block_refinement`], [`structure_tensor`]), [`missing_correspondence`], [`neighborhood_test`], [`deformation_solve`],
 //!    [`displacement_field`].
 //! 6. Field, inverse, warped scan and segmentation, deformed mesh; [`accuracy`].
 //!
@@ -22,12 +22,14 @@
 pub mod accuracy;
 pub mod adaptive_loop;
 pub mod block_matching;
+pub mod block_refinement;
 pub mod canny;
 pub mod deformation_solve;
 pub mod displacement_field;
 pub mod feature_points;
 pub mod foreground;
 pub mod missing_correspondence;
+pub mod neighborhood_test;
 pub mod options;
 mod options_table;
 pub mod report;

@@ -6,7 +6,7 @@
 //!    segmentation has a label and the fixed scan is dark and much darker than expected.
 //! 3. Seeds: missing voxels whose face neighbours are missing too. Connected groups of seeds that touch the tumour and are
 //!    large enough are the cavity; it grows back into the dark voxels that touch it.
-//! 4. The model: warped labels where the fixed scan has tissue; the cavity and a layer around the brain become filling, so that
+//! 4. The model: warped labels where the fixed scan has tissue, but brain for tumour near the cavity; the cavity and a layer around the brain become filling, so that
 //!    the field stays defined and smooth there.
 //!
 //! # Source
@@ -42,6 +42,10 @@ const MIN_CAVITY: f64 = 800.0;
 
 /// How far the seeds grow back, mm.
 const GROWTH: f64 = 8.0;
+
+/// Around the cavity the warped segmentation is not trusted, mm: a wall that collapses lies where the tumour was, until the loop has
+/// moved it away.
+pub const CAVITY_REACH: f64 = 12.0;
 
 /// Reach of the tumour: groups this near to it count as touching, mm.
 const REACH: f64 = 5.0;
@@ -238,11 +242,14 @@ pub fn resected_model(scene: &Scene, cavity: &[bool], layer: bool) -> ResectedMo
     let covered: Vec<bool> =
         (0..cavity.len()).map(|at| tissue[at] || corrected.voxels()[at] != Label::BACKGROUND || cavity[at]).collect();
     let covered = grow(covered, |_| true, size, steps);
+    let near_cavity = grow(cavity.to_vec(), |_| true, size, (CAVITY_REACH / scene.spacing).ceil() as usize);
+    let tumor = corrected.label_of(2);
     let voxels = (0..cavity.len())
         .map(|at| {
             let label = corrected.voxels()[at];
             if tissue[at] {
-                if label == Label::BACKGROUND { brain } else { label }
+                let unsure = near_cavity[at] && Some(label) == tumor;
+                if label == Label::BACKGROUND || unsure { brain } else { label }
             } else if covered[at] {
                 filling_label
             } else {
