@@ -68,6 +68,15 @@ const REACH: f64 = 9.0;
 /// Uncertainty of a single match, voxels.
 const UNCERTAINTY: f64 = 0.3;
 
+/// Rim of the cavity that blocks leave out, mm: half of a thick slice.
+const CAVITY_RIM: f64 = 1.25;
+
+/// This far around the cavity blocks are selected more densely, mm.
+const DENSE_REACH: f64 = 18.0;
+
+/// How much more densely.
+const DENSER: f64 = 4.0;
+
 /// Folding limit while the loop runs; the returned field is held to the caller's limit.
 const LOOP_JACOBIAN: f64 = 0.05;
 
@@ -294,7 +303,8 @@ impl State<'_> {
             let at = nearest_offset(grid.size(), grid.world_to_index(point));
             at.is_some_and(|at| self.cavity[at])
         });
-        grow(hole, |_| true, scale.grid.size(), 1).into_iter().map(|h| !h).collect()
+        let steps = (CAVITY_RIM / scale.grid.spacing().x) as usize;
+        grow(hole, |_| true, scale.grid.size(), steps).into_iter().map(|h| !h).collect()
     }
 
     /// Voxels of a scale where blocks of the moving scan may have no counterpart: tumour, and what lies around the cavity.
@@ -336,7 +346,8 @@ impl State<'_> {
         let mut result = Matches::default();
         if options.direction != MatchingDirection::MovingToFixed {
             let mask: Vec<bool> = scale.foreground.iter().zip(tissue).map(|(f, t)| *f && *t).collect();
-            let centers = select_features(scale.fixed.values(), settings.size, &mask, &features);
+            let mut centers = select_features(scale.fixed.values(), settings.size, &mask, &features);
+            self.add_near_cavity(&mut centers, scale, tissue, mask, &features);
             let found = match_blocks(&scale.fixed, tissue, warped, &centers, &settings, self.context)?;
             report.blocks += found.len();
             report.missing += found.iter().filter(|m| m.outcome != MatchOutcome::Found).count();
@@ -366,6 +377,30 @@ impl State<'_> {
             });
         }
         Ok(result)
+    }
+
+    /// More blocks around the cavity: tissue moves most there, and the scan often varies little.
+    fn add_near_cavity(
+        &self,
+        centers: &mut Vec<usize>,
+        scale: &Scale,
+        tissue: &[bool],
+        mut mask: Vec<bool>,
+        features: &FeatureOptions,
+    ) {
+        if tissue.iter().all(|t| *t) {
+            return;
+        }
+        let size = scale.grid.size();
+        let hole = tissue.iter().map(|t| !t).collect();
+        let near = grow(hole, |_| true, size, (DENSE_REACH / scale.grid.spacing().x).ceil() as usize);
+        mask.iter_mut().zip(&near).for_each(|(mask, near)| *mask &= *near);
+        let fraction = (features.selection_fraction * DENSER).min(1.0);
+        let features = FeatureOptions { selection_fraction: fraction, ..features.clone() };
+        let mut taken = vec![false; mask.len()];
+        centers.iter().for_each(|at| taken[*at] = true);
+        let more = select_features(scale.fixed.values(), size, &mask, &features);
+        centers.extend(more.into_iter().filter(|at| !taken[*at]));
     }
 
     /// Blocks of the moving scan in the fixed scan, whose cavity is filled: its edge would attract them.

@@ -509,7 +509,7 @@ pub const PARAMETERS: Table = &[
         name: "num-inter-steps",
         alias: Some("numInterSteps"),
         kind: Kind::Integer { min: 0, max: 1000 },
-        default: Default::Integer(5),
+        default: Default::Integer(1),
         unit: "",
         multiplicity: Multiplicity::Single,
         group: "Mechanics",
