@@ -1,13 +1,14 @@
-//! The adaptive loop: warp, correct, mesh, match, solve, compose, until nothing changes.
+//! The adaptive loop: warp, correct, mesh, match, fit, until nothing changes.
 //!
 //! # Method
 //! Each iteration, on a grid that is coarse in the first ones and fine in the later ones:
 //! 1. The moving scan (linear) and its segmentation (nearest) are warped by the field so far.
 //! 2. The cavity is found and taken out of the segmentation ([`super::resection`]).
 //! 3. The corrected segmentation is meshed.
-//! 4. Blocks of the fixed scan are searched in the warped one, and blocks of the warped one in the fixed one; blocks of the
-//!    moving scan without correspondence are paired with the brain surface.
-//! 5. The mechanics turn the matches into an update of the field ([`super::deformation_solve`]), which is composed with it.
+//! 4. Blocks of the fixed scan, denser around the cavity, are searched in the warped one, and blocks of the warped one in the fixed
+//!    one, but not tumour and not around the cavity; blocks of the moving scan without correspondence are paired with the brain surface.
+//! 5. Matches that contradict their neighbours are dropped ([`super::neighborhood_test`]).
+//! 6. The mechanics turn the others into the field since the rigid start ([`super::deformation_solve`]).
 //!
 //! The loop ends after the given number of iterations, or on the fine grid when the update and the number of blocks without
 //! correspondence are small.
@@ -16,7 +17,9 @@
 //! [Drakopoulos2017] section 3.7.2, figure 35.
 //!
 //! # Differences
-//! The coarse first iterations and the search in both directions are ours. Tissue left in the fixed scan always has a counterpart in the
+//! The coarse first iterations, the search in both directions, the denser blocks around the cavity and the test against neighbours are
+//! ours. The thesis fits an update per iteration and adds the updates: so do the errors of their matches (measured on simulated
+//! operations: 0.65 mm far from the cavity, 0.35 mm with one fit of the whole). Tissue left in the fixed scan always has a counterpart in the
 //! moving scan, so that blocks of the fixed scan are not misled by a resection.
 //!
 //! # Invariants
