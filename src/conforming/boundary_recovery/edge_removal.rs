@@ -215,7 +215,7 @@ pub struct Reach {
 }
 
 /// Removes the edge u v, if need be after removing up to `depth` levels of edges at its ends, with backtracking. `tries`
-/// bounds the edges looked at. Where that fails, the mesh is as it was.
+/// bounds the edges looked at. Where that fails, the mesh is as it was; with an aim, the ring may be shorter.
 ///
 /// # Errors
 /// As [`TetStore::create_tet`].
@@ -296,6 +296,10 @@ impl Removal<'_> {
             }
             if self.remove(mesh, [u, v])? {
                 return Ok(true);
+            }
+            // A shorter ring is progress on the way to a segment, though the edge is still there.
+            if self.open.is_empty() && self.reach.aim.is_some() {
+                return Ok(false);
             }
             self.journal.take_back(mesh, mark)?;
         }

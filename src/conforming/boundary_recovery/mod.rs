@@ -77,9 +77,21 @@ fn efforts(options: &Options) -> [Effort; 4] {
         Effort { depth: 0, ring, tries: 0, tets: 12, steps: 60, budget: 500, grow: false },
         Effort { depth: 1, ring, tries: 50, tets: 12, steps: 60, budget: 500, grow: false },
         Effort { depth: depth.min(3), ring, tries: 150, tets: 12, steps: 150, budget: 900, grow: false },
-        Effort { depth, ring, tries: 300, tets: 20, steps: 600, budget: 4000, grow: true },
+        Effort { depth, ring, tries: 300, tets: 30, steps: 2000, budget: 12_000, grow: true },
     ]
 }
+
+/// The passes over missing edges: deep recursions of few tries. Each pass finds the mesh changed by the one before.
+fn edge_efforts(options: &Options) -> Vec<Effort> {
+    let first = efforts(options)[0];
+    let deepest = 2 * options.recursion_depth;
+    let depths = [1, 2, 3, 4, 6, 8, 10].into_iter().filter(|&depth| depth <= deepest);
+    let passes = depths.map(|depth| Effort { depth, tries: TRIES, tets: 0, ..first });
+    std::iter::once(first).chain(passes).collect()
+}
+
+/// Edges looked at for one missing edge in a pass; ten times as many cost ten times as much and recover 1 % more.
+const TRIES: usize = 50;
 
 /// Edges or faces that get the largest effort before they are split.
 const MOST_HARD: usize = 4;
@@ -100,11 +112,12 @@ pub fn recover(
 ) -> Result<ConstrainedMesh> {
     let mut mesh = ConstrainedMesh::new(complex, facets);
     let efforts = efforts(options);
+    let edge_efforts = edge_efforts(options);
     let start = Instant::now();
     let missing = mesh.missing_segments();
     report.missing_edges = missing.len();
 
-    recover_all_edges(&mut mesh, missing, &efforts, context)?;
+    recover_all_edges(&mut mesh, missing, (&edge_efforts, &efforts), context)?;
     report.steiner_on_surface[0] = mesh.splits.len();
     report.seconds[0] = start.elapsed().as_secs_f64();
     context.progress("boundary recovery", 0.15);
@@ -112,7 +125,7 @@ pub fn recover(
     mesh.keeps_faces = true;
     let missing = mesh.missing_subfaces();
     report.missing_faces = missing.len();
-    recover_all_faces(&mut mesh, missing, &efforts, context)?;
+    recover_all_faces(&mut mesh, missing, (&edge_efforts, &efforts), context)?;
     report.steiner_on_surface[1] = mesh.splits.len() - report.steiner_on_surface[0];
     report.seconds[1] = start.elapsed().as_secs_f64();
     Ok(mesh)
@@ -166,11 +179,12 @@ pub fn remove_from_volume(
 fn recover_all_edges(
     mesh: &mut ConstrainedMesh,
     mut missing: Vec<EdgeKey>,
-    efforts: &[Effort],
+    (edge_efforts, efforts): (&[Effort], &[Effort]),
     context: &RunContext,
 ) -> Result<()> {
     for _ in 0..MOST_ROUNDS {
-        for effort in efforts {
+        let hardest = efforts.last().filter(|_| missing.len() <= MOST_HARD);
+        for effort in edge_efforts.iter().chain(hardest) {
             if missing.is_empty() {
                 return Ok(());
             }
@@ -209,7 +223,7 @@ fn recover_all_edges(
 fn recover_all_faces(
     mesh: &mut ConstrainedMesh,
     mut missing: Vec<FaceKey>,
-    efforts: &[Effort],
+    (edge_efforts, efforts): (&[Effort], &[Effort]),
     context: &RunContext,
 ) -> Result<()> {
     for _ in 0..MOST_ROUNDS {
@@ -230,7 +244,7 @@ fn recover_all_faces(
         let face = missing[0];
         if let Some(new) = steiner_points::split_missing_face(mesh, face)? {
             let absent = new.into_iter().filter(|e| !mesh.has_edge(e[0], e[1])).collect::<Vec<_>>();
-            recover_all_edges(mesh, absent, efforts, context)?;
+            recover_all_edges(mesh, absent, (edge_efforts, efforts), context)?;
         }
         missing = mesh.missing_subfaces();
     }

@@ -113,7 +113,7 @@ fn undo(mesh: &mut ConstrainedMesh, steiner: VertexId, split: &Split, volume: &m
         let faces: Vec<[DVec3; 3]> = sector.front.iter().map(|f| f.map(|v| mesh.at(v))).collect();
         let room = match kernel_point(&faces, mesh.at(steiner), sector.inward) {
             Some(place) => Some((place, sector.front)),
-            None => grown_sector(mesh, steiner, &sector, &mut old),
+            None => grown_sector(mesh, steiner, &sector, &mut old, volume),
         };
         let Some((place, front)) = room else {
             mesh.complex.truncate_points(count);
@@ -123,9 +123,14 @@ fn undo(mesh: &mut ConstrainedMesh, steiner: VertexId, split: &Split, volume: &m
         added.push(vertex);
         new.extend(front.iter().map(|&[a, b, c]| [a, b, c, vertex]));
     }
-    if loses_vertex(mesh, &old, &new, steiner) || mesh.replace(&old, &new)?.is_none() {
+    let lost = lost_vertices(mesh, &old, &new);
+    if mesh.replace(&old, &new)?.is_none() {
         mesh.complex.truncate_points(count);
         return Ok(false);
+    }
+    for vertex in lost {
+        mesh.complex.set_tet_of(vertex, TetId::NONE);
+        volume.retain(|&v| v != vertex);
     }
     mesh.complex.set_tet_of(steiner, TetId::NONE);
     volume.extend(added);
@@ -140,10 +145,14 @@ fn undo(mesh: &mut ConstrainedMesh, steiner: VertexId, split: &Split, volume: &m
     Ok(true)
 }
 
-/// Whether a vertex other than the Steiner point has all its tets in `old` and none in `new`.
-fn loses_vertex(mesh: &ConstrainedMesh, old: &[TetId], new: &[[VertexId; 4]], steiner: VertexId) -> bool {
+/// The vertices of `old` that no tet of `new` has: their balls lie in `old`.
+fn lost_vertices(mesh: &ConstrainedMesh, old: &[TetId], new: &[[VertexId; 4]]) -> Vec<VertexId> {
     let kept: FxHashSet<VertexId> = new.iter().flatten().copied().collect();
-    old.iter().flat_map(|&tet| mesh.complex.vertices(tet)).any(|v| v != steiner && !kept.contains(&v))
+    let mut lost: Vec<VertexId> = old.iter().flat_map(|&tet| mesh.complex.vertices(tet)).collect();
+    lost.retain(|v| !kept.contains(v));
+    lost.sort_unstable();
+    lost.dedup();
+    lost
 }
 
 /// A place inside of a sector too flat for one, with the tets beyond the link faces that it would not see: they join
@@ -154,6 +163,7 @@ fn grown_sector(
     steiner: VertexId,
     sector: &Sector,
     old: &mut Vec<TetId>,
+    volume: &[VertexId],
 ) -> Option<(DVec3, Vec<[VertexId; 3]>)> {
     let start = mesh.at(steiner);
     let direction = sector.inward.normalize_or_zero();
@@ -163,6 +173,12 @@ fn grown_sector(
     (1..GROWTH_PLACES).find_map(|i| {
         let place = start + direction * (size * 0.5_f64.powi(i));
         let (tets, front) = grow_to(mesh, place, sector, old)?;
+        // Points of the volume may go with their balls, others not.
+        let kept: FxHashSet<VertexId> = front.iter().flatten().copied().collect();
+        let corners = tets.iter().flat_map(|&tet| mesh.complex.vertices(tet));
+        if corners.into_iter().any(|v| v != steiner && !kept.contains(&v) && !volume.contains(&v)) {
+            return None;
+        }
         old.extend(tets);
         Some((place, front))
     })
