@@ -47,6 +47,8 @@ pub mod volume_generation;
 #[cfg(test)]
 mod reconnection_stress_tests;
 #[cfg(test)]
+mod recovery_tests;
+#[cfg(test)]
 pub(crate) mod test_surfaces;
 #[cfg(test)]
 mod tests;

@@ -96,3 +96,46 @@ pub fn joined(parts: &[SurfaceMesh]) -> SurfaceMesh {
     }
     all
 }
+
+/// A prism over a regular polygon, `layers` high, each layer turned by so many degrees; the diagonals of its sides bend
+/// inwards for positive turns. With one layer over a triangle it is Schoenhardt's polyhedron.
+pub fn twisted_prism(corners: u32, turn: f64, layers: u32) -> SurfaceMesh {
+    let mut points = Vec::new();
+    for layer in 0..=layers {
+        for i in 0..corners {
+            let angle =
+                std::f64::consts::TAU * f64::from(i) / f64::from(corners) + turn.to_radians() * f64::from(layer);
+            points.push([angle.cos(), angle.sin(), f64::from(layer)]);
+        }
+    }
+    let top = corners * layers;
+    let mut facets: Vec<[u32; 3]> =
+        (1..corners - 1).flat_map(|i| [[0, i + 1, i], [top, top + i, top + i + 1]]).collect();
+    for base in (0..layers).map(|layer| layer * corners) {
+        for i in 0..corners {
+            let (i, j) = (base + i, base + (i + 1) % corners);
+            facets.extend([[i, j, j + corners], [i, j + corners, i + corners]]);
+        }
+    }
+    surface_of(&points, &facets)
+}
+
+/// A box whose bottom and top are cut into strips of one part in `slenderness`, with diagonals in opposite senses.
+pub fn strips(count: u32, slenderness: f64) -> SurfaceMesh {
+    let around = 2 * (count + 1);
+    let ring = (0..=count).map(|i| (i, 0.0)).chain((0..=count).rev().map(|i| (i, 1.0)));
+    let ring: Vec<(f64, f64)> = ring.map(|(i, y)| (f64::from(i) / slenderness, y)).collect();
+    let points: Vec<[f64; 3]> = [0.0, 0.3].iter().flat_map(|&z| ring.iter().map(move |&(x, y)| [x, y, z])).collect();
+    let mut facets: Vec<[u32; 3]> = Vec::new();
+    for i in 0..count {
+        let [a, b, c, d] = [i, i + 1, around - 2 - i, around - 1 - i];
+        let halves = [[[a, b, c], [a, c, d]], [[a, b, d], [b, c, d]]];
+        facets.extend(halves[(i % 2) as usize].map(|[x, y, z]| [x, z, y]));
+        facets.extend(halves[((i + 1) % 2) as usize].map(|face| face.map(|v| v + around)));
+    }
+    for i in 0..around {
+        let j = (i + 1) % around;
+        facets.extend([[i, j, j + around], [i, j + around, i + around]]);
+    }
+    surface_of(&points, &facets)
+}

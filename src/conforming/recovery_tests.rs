@@ -1,0 +1,79 @@
+//! Boundary recovery on shapes that have no tetrahedralization of their own, or hardly one.
+
+use glam::DVec3;
+
+use super::test_surfaces::{cube, joined, mapped, strips, twisted_prism};
+use super::*;
+use crate::error::Error;
+use crate::mesh::validation::check_mixed_mesh;
+
+/// Runs without refinement: points and facets must be there as they were given. Returns the points added in the volume.
+fn recovered(surface: &SurfaceMesh) -> usize {
+    let options = Options { refine: false, ..Options::default() };
+    let (mesh, report) = run(surface, None, &options, &RunContext::with_threads(1).unwrap()).unwrap();
+    check_mixed_mesh(&mesh).unwrap();
+    assert_eq!(mesh.points[..surface.points.len()], surface.points[..]);
+    let keys = |faces: &[[VertexId; 3]]| {
+        let sorted = |mut face: [VertexId; 3]| {
+            face.sort_unstable();
+            face
+        };
+        let mut keys: Vec<_> = faces.iter().copied().map(sorted).collect();
+        keys.sort_unstable();
+        keys
+    };
+    assert_eq!(keys(&mesh.boundary.triangles), keys(&surface.facets));
+    report.recovery.steiner_in_volume
+}
+
+#[test]
+fn twisted_prisms_need_at_most_one_point() {
+    for corners in [3, 4, 5, 6, 8] {
+        for turn in [-25.0, -20.0, 20.0] {
+            let added = recovered(&twisted_prism(corners, turn, 1));
+            assert!(added <= usize::from(turn > 0.0), "{corners} corners, turn {turn}: {added} points");
+        }
+    }
+}
+
+#[test]
+fn flat_long_and_far_prisms_are_recovered() {
+    for (scale, offset) in [(DVec3::new(1.0, 1.0, 1e-3), 0.0), (DVec3::new(1.0, 1.0, 1e3), 0.0), (DVec3::ONE, 1e6)] {
+        let surface = mapped(&twisted_prism(6, -20.0, 3), |p| p * scale + DVec3::splat(offset));
+        assert_eq!(recovered(&surface), 0, "{scale} {offset}");
+    }
+}
+
+#[test]
+fn strips_of_1_to_3600_need_few_points() {
+    for scale in [1e-6, 1.0, 1e6] {
+        let added = recovered(&mapped(&strips(10, 3600.0), |p| p * scale));
+        assert!(added <= 5, "TetGen 1.5 leaves 5 points, not {added}");
+    }
+}
+
+#[test]
+fn a_turned_prism_in_a_box_is_a_region_of_its_own() {
+    let inner = mapped(&twisted_prism(3, 20.0, 1), |p| p * 0.2 + DVec3::splat(0.4));
+    let added = recovered(&joined(&[cube(2), inner]));
+    assert!(added <= 2, "{added}");
+}
+
+#[test]
+fn cancelling_ends_a_recovery_at_once() {
+    let surface = strips(60, 3600.0);
+    let options = Options { refine: false, ..Options::default() };
+    for milliseconds in [0, 3, 10, 30] {
+        let context = RunContext::with_threads(1).unwrap();
+        let token = context.cancel_token();
+        let result = std::thread::scope(|scope| {
+            scope.spawn(|| {
+                std::thread::sleep(std::time::Duration::from_millis(milliseconds));
+                token.cancel();
+            });
+            run(&surface, None, &options, &context)
+        });
+        // It may have been done before.
+        assert!(matches!(result, Ok(_) | Err(Error::Cancelled)));
+    }
+}
