@@ -244,7 +244,7 @@ impl Smoother {
             let (row, neighbors) = (store.vertices(tet), store.neighbors(tet));
             let no_end = neighbors.iter().all(|side| *side != TetFace::NONE);
             let is_free = store.flags(tet).constraints() == TetFlags::LIVE && no_end;
-            if has_ghost(row) || !(is_free || !touches_constraint(store, tet, vertex)) {
+            if has_ghost(row) || (!is_free && touches_constraint(store, tet, vertex)) {
                 return Outcome::Constrained;
             }
             let local = store.local_vertex(tet, vertex).unwrap_or(0);

@@ -33,8 +33,8 @@ const REGULAR_VOLUME: f64 = 0.117_851_130_197_757_9;
 const MEAN_STRETCH: f64 = 1.05;
 /// Tets per parallel part of the prediction.
 const PREDICTION_CHUNK: usize = 512;
-/// Most halvings of a tet in the prediction: parts are then a sixteenth of it along every axis.
-const PREDICTION_DEPTH: usize = 12;
+/// Most halvings of a tet in the prediction: parts are then about a tenth of it along every axis.
+const PREDICTION_DEPTH: usize = 10;
 /// Sizes within this factor count as one.
 const EVEN_SIZES: f64 = 1.3;
 /// Height of the regular tet over its edge.
