@@ -33,7 +33,7 @@ use super::tet_prediction::predicted_tets;
 use super::vertex_insertion::InsertionRule;
 use crate::context::RunContext;
 use crate::error::{Error, Finding, FindingCode, Result, Severity};
-use crate::geometry::spatial_sort::hilbert_order;
+use crate::geometry::spatial_sort::{brio_order, hilbert_order};
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::size_field::{SizeField, average_edges};
 use crate::mesh::tet_complex::TetComplex;
@@ -376,10 +376,21 @@ fn filter(
     candidates.par_iter().with_min_len(256).filter_map(test).collect()
 }
 
-/// Accepted candidates along a Hilbert curve: neighbours in space become neighbours in memory and in the work.
+/// Accepted candidates in random rounds of doubling size, each along a Hilbert curve [AmentaChoiRote2003]: neighbours in
+/// space become neighbours in memory and in the work, and the few first points break up tets that reach across the
+/// domain before the many come (round a sphere every early cavity is the whole mesh).
 fn sorted_along_curve(accepted: Vec<Accepted>) -> Result<Vec<Accepted>> {
     let points: Vec<DVec3> = accepted.iter().map(|a| a.point).collect();
-    let order = hilbert_order(&points)?;
+    let mut order = hilbert_order(&points)?;
+    let (random, ends) = brio_order(points.len(), 0);
+    let mut round_of = vec![0u32; points.len()];
+    let mut begin = 0;
+    for (round, end) in ends.into_iter().enumerate() {
+        random[begin..end].iter().for_each(|&i| round_of[i as usize] = round as u32);
+        begin = end;
+    }
+    // Stable: the curve's order stays within a round.
+    order.sort_by_key(|&i| round_of[i as usize]);
     Ok(order.into_iter().map(|i| accepted[i as usize]).collect())
 }
 
