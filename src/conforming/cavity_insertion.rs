@@ -214,15 +214,30 @@ impl CavityScratch {
         if self.cavity.len() + 3 != on_border && self.count_vertices() != on_border {
             return false;
         }
-        self.cavity.iter().all(|&tet| {
-            let flags = store.flags(tet);
-            !flags.has_constrained_edge() || {
-                let row = store.vertices(tet);
-                let kept = |i: usize, j: usize| {
-                    self.border.iter().any(|f| f.corners.contains(&row[i]) && f.corners.contains(&row[j]))
-                };
-                (0..6).all(|e| !flags.is_edge_constrained(e) || kept(TET_EDGES[e][0], TET_EDGES[e][1]))
+        self.keeps_edges(store)
+    }
+
+    /// Whether every constrained edge of the cavity is on its border.
+    fn keeps_edges<S: TetStore + ?Sized>(&mut self, store: &S) -> bool {
+        if !self.cavity.iter().any(|&tet| store.flags(tet).has_constrained_edge()) {
+            return true;
+        }
+        let sorted = |a: VertexId, b: VertexId| [a.min(b), a.max(b)];
+        self.open_map.clear();
+        for face in &self.border {
+            let [a, b, c] = face.corners;
+            for (constrained, edge) in face.edges.into_iter().zip([[a, b], [b, c], [c, a]]) {
+                if constrained {
+                    self.open_map.insert(sorted(edge[0], edge[1]), TetFace::NONE);
+                }
             }
+        }
+        self.cavity.iter().all(|&tet| {
+            let (flags, row) = (store.flags(tet), store.vertices(tet));
+            !flags.has_constrained_edge()
+                || TET_EDGES.iter().enumerate().all(|(edge, &[i, j])| {
+                    !flags.is_edge_constrained(edge) || self.open_map.contains_key(&sorted(row[i], row[j]))
+                })
         })
     }
 

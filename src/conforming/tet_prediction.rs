@@ -36,7 +36,7 @@ const PREDICTION_CHUNK: usize = 512;
 /// Most halvings of a tet in the prediction: parts are then about a tenth of it along every axis.
 const PREDICTION_DEPTH: usize = 10;
 /// Sizes within this factor count as one.
-const EVEN_SIZES: f64 = 1.3;
+const EVEN_SIZES: f64 = 1.6;
 /// Height of the regular tet over its edge.
 const EQUILATERAL_HEIGHT: f64 = 0.816_496_580_927_726;
 
