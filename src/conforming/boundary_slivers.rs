@@ -34,7 +34,7 @@ use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
 use crate::mesh::topology::{ShellTet, collect_shell};
 
-/// Limits of the deletion, radians.
+/// Limits of the deletion, degrees.
 #[derive(Debug, Clone, Copy)]
 struct Limits {
     sliver: f64,
@@ -57,9 +57,9 @@ pub fn delete_boundary_slivers(
     options: &Options,
 ) -> usize {
     let limits = Limits {
-        sliver: options.boundary_sliver_angle.to_radians(),
-        bend: options.discontinuity_angle.to_radians(),
-        surface: options.surface_angle_limit.to_radians(),
+        sliver: options.boundary_sliver_angle,
+        bend: options.discontinuity_angle,
+        surface: options.surface_angle_limit,
     };
     let mut facets_at: FxHashMap<[VertexId; 2], u32> = FxHashMap::default();
     for &[a, b, c] in subfaces.keys() {
@@ -127,9 +127,10 @@ fn find_deletion(
     (new <= old || new <= limits.surface).then_some(Deletion { tet, corners: [a, b, c, d] })
 }
 
+/// The largest angle of a triangle, degrees.
 fn largest_angle(complex: &TetComplex, triangle: [VertexId; 3]) -> f64 {
     let [p, q, r] = triangle.map(|v| complex.point(v));
-    let at = |o: glam::DVec3, x: glam::DVec3, y: glam::DVec3| (x - o).angle_between(y - o);
+    let at = |o: glam::DVec3, x: glam::DVec3, y: glam::DVec3| (x - o).angle_between(y - o).to_degrees();
     at(p, q, r).max(at(q, r, p)).max(at(r, p, q))
 }
 

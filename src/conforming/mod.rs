@@ -45,6 +45,8 @@ pub mod vertex_insertion;
 pub mod volume_generation;
 
 #[cfg(test)]
+mod option_effects_tests;
+#[cfg(test)]
 mod reconnection_stress_tests;
 #[cfg(test)]
 mod recovery_tests;

@@ -573,3 +573,6 @@ fn short_edges(complex: &TetComplex, sizes: &[f64], tet: TetId, factor: f64) -> 
     };
     edges.into_iter().flatten()
 }
+
+#[cfg(test)]
+mod tests;
