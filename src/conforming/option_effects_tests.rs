@@ -51,8 +51,6 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ("quality-transfer-reduction", "parallel_reconnection"),
     ("delete-small-edges", "parallel_reconnection: collapse of short edges"),
     ("small-edge-factor", "parallel_reconnection: collapse of short edges"),
-    ("sort-new-points", "refinement: the order of a pass's insertions, where it has more than the sort's leaves hold"),
-    ("group-active", "refinement: the order of a list, which here is that of storage either way"),
     ("reserved-elements", "memory only"),
 ];
 
@@ -88,6 +86,8 @@ const ON_LUMP: &[Effect] = &[
     ("refinement-threads", &[], "1"),
     ("quality-threads", &[], "1"),
     ("pin-threads", &[], "on"),
+    ("group-active", &[("sort-new-points", "off")], "off"),
+    ("sort-new-points", &[], "off"),
 ];
 
 const ON_FLAT_LUMP: &[Effect] = &[

@@ -30,7 +30,7 @@ use crate::parallel::speculative::Attempt;
 /// [`FLAT_GAIN`].
 const FLAT_BELOW: f64 = 4.0;
 /// Factor by which a point must better the grade of a nearly flat tet.
-const FLAT_GAIN: f64 = 1.3;
+const FLAT_GAIN: f64 = 1.02;
 /// A tet with a smaller angle, degrees, gets a point where every new tet reaches that angle.
 const BAD_BELOW: f64 = 10.0;
 /// The angle that every new tet of all other insertions reaches, degrees.
