@@ -101,7 +101,7 @@ pub enum Path {
 
 impl Path {
     /// Things passed through.
-    pub fn len(&self) -> usize {
+    pub fn crossing_count(&self) -> usize {
         match self {
             Self::Present => 0,
             Self::Through(crossings) => crossings.len(),

@@ -165,11 +165,11 @@ fn shorten(
                 Attempt::Remove(edge) => remove_edge(mesh, edge, effort.reach(Some([a, b])), tries, &mut journal)?,
             };
             if !changed {
-                if journal.len() > 0 {
+                if journal.mark() > 0 {
                     // The edge has a shorter ring now: a later pass starts from there, unless more is crossed.
                     match trace(mesh, a, b) {
-                        Some(path) if path.len() < count => return Ok(Some(path)),
-                        Some(path) if path.len() == count => journal = Journal::default(),
+                        Some(path) if path.crossing_count() < count => return Ok(Some(path)),
+                        Some(path) if path.crossing_count() == count => journal = Journal::default(),
                         _ => journal.take_back(mesh, 0)?,
                     }
                     break;
@@ -177,7 +177,7 @@ fn shorten(
                 continue;
             }
             match trace(mesh, a, b) {
-                Some(path) if path.len() < count => return Ok(Some(path)),
+                Some(path) if path.crossing_count() < count => return Ok(Some(path)),
                 _ => journal.take_back(mesh, 0)?,
             }
         }

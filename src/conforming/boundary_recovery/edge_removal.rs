@@ -182,7 +182,7 @@ impl Journal {
     }
 
     /// Changes noted so far.
-    pub fn len(&self) -> usize {
+    pub fn mark(&self) -> usize {
         self.0.len()
     }
 
@@ -285,7 +285,7 @@ impl Removal<'_> {
                 continue;
             }
             *self.tries -= 1;
-            let mark = self.journal.len();
+            let mark = self.journal.mark();
             let place = |w| mesh.complex.local_vertex(old[i], w);
             let (Some(from), Some(to)) = (place(end), place(p)) else { continue };
             self.open.push([u, v]);
