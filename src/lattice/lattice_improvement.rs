@@ -8,12 +8,18 @@
 //! 3. The tets below the wanted score are gone through from the worst: their inner vertices are optimised, local
 //!    transformations are tried on what is still low; in the last rounds surface vertices are optimised too.
 //!
+//! Last passes take what is still low once more, and let its surface vertices off their surface by a little more each time.
+//!
 //! # Source
 //! [KlingnerShewchuk2007] for the schedule.
 //!
 //! # Invariants
 //! The order of work is fixed and sequential where a step depends on the one before: the same bits for any number of
 //! threads. Volumes are summed in fixed chunks.
+//!
+//! # Limits
+//! Only elements are kept from turning over. Two parts of a surface across a gap of background thinner than the smoothing
+//! are not kept apart: they can cut into each other by a fraction of a voxel.
 
 use glam::DVec3;
 use rayon::prelude::*;
