@@ -77,7 +77,7 @@ const ON_LUMP: &[Effect] = &[
     ("count-slivers", &[], "on"),
     ("maximum-passes", &[], "1"),
     ("reconnection-criterion", &[], "1"),
-    ("reconnection-criterion", &[], "3"),
+    ("reconnection-criterion", &[("reconnection-criterion", "1")], "3"),
     ("repeat-reconnection", &[("quality-passes", "0")], "on"),
     ("flip-44", &[], "on"),
     ("low-quality-surface-angle", &[], "0"),
