@@ -5,6 +5,8 @@
 //! 2. Where labels lack fidelity or components are lost, mark leaves and refine ([`super::subdivision_criteria`]).
 //! 3. Otherwise relabel the candidate mesh ([`super::element_labels`]) and count again; refine where that costs the
 //!    fidelity. At the finest level the relabelling spares what a label needs instead.
+//! 4. Where surfaces are smoothed or checked, pinches are relabelled ([`super::interface_topology`]); with the check what
+//!    still pinches is refined a few times, then carved ([`super::interface_carving`]).
 //!
 //! # Source
 //! [Drakopoulos2017] 2.3.3.
@@ -23,7 +25,9 @@ use crate::lattice::bcc_lattice::{Field, LatticeFrame};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
 use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
+use crate::lattice::interface_carving::carve;
 use crate::lattice::interface_topology::InterfaceTopology;
+use crate::lattice::mesh_regions::{joinable_regions, regions_of, relabel_loose_regions, surplus_of};
 use crate::lattice::mixed_elements;
 use crate::lattice::options::Options;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
@@ -33,6 +37,10 @@ use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, count_voxels, mismatc
 
 /// Progress of the whole run when refinement begins and ends.
 const PROGRESS: (f64, f64) = (0.1, 0.6);
+
+/// Rounds of refinement for the sake of topology: a pinch that comes from the image's own shape is gone after two or three
+/// (edges of 4 voxels become half a voxel), one that the lattice makes anew each time never goes.
+const TOPOLOGY_ROUNDS: u32 = 3;
 
 /// What refinement works with.
 #[derive(Clone, Copy)]
@@ -62,13 +70,12 @@ pub fn refine(
     context.progress("distance transform", 0.02);
     let frame = LatticeFrame::new(input.image, input.spacing)?;
     let distance = report.timed("distance_transform", || distance_to_other_labels(input.image, context))?;
-    let components =
-        report.timed("components", || Components::new(input.image, Connectivity::Vertex, Members::Foreground));
+    let components = report.timed("components", || Components::new(input.image, Connectivity::Vertex, Members::All));
     let totals = count_voxels(input.image.voxels(), input.values.len());
     let field = Field::new(input.image, &distance);
     context.progress("lattice", PROGRESS.0);
     let mut lattice = report.timed("lattice", || RedGreenLattice::new(frame, field, options.max_elements, context))?;
-    let mut rounds = Rounds { input, components, totals, report, context };
+    let mut rounds = Rounds { input, components, totals, smooths: options.smoothing_iterations > 0, report, context };
     let elements = rounds.run(&mut lattice)?;
     report.set("lattice.level", f64::from(lattice.deepest_level()));
     report.set("lattice.spacing", input.spacing);
@@ -80,10 +87,19 @@ pub fn refine(
     Ok(report.timed("compaction", || mixed_elements::compact(&lattice, &elements, &cubes)))
 }
 
+/// How far refinement for the sake of topology may go.
+#[derive(Clone, Copy)]
+struct RefinementLimit {
+    finest: u32,
+    rounds_left: u32,
+}
+
 struct Rounds<'a> {
     input: &'a RefinementInput<'a>,
     components: Components,
     totals: Vec<LabelCount>,
+    /// Whether surfaces are smoothed afterwards: then pinches are in the way.
+    smooths: bool,
     report: &'a mut Report,
     context: &'a RunContext,
 }
@@ -91,6 +107,7 @@ struct Rounds<'a> {
 impl Rounds<'_> {
     fn run(&mut self, lattice: &mut RedGreenLattice) -> Result<Elements> {
         let finest = finest_level(lattice, self.input.image);
+        let mut topology_rounds = TOPOLOGY_ROUNDS;
         for round in 0.. {
             let reached = f64::from(round) / (f64::from(round) + 4.0);
             self.context.progress("refinement", PROGRESS.0 + (PROGRESS.1 - PROGRESS.0) * reached);
@@ -103,7 +120,7 @@ impl Rounds<'_> {
                 let relabelled = self.relabel(lattice, &mut elements, |_| false)?;
                 found = self.count(lattice, &elements)?;
                 let after = self.deficit(&found);
-                if after.lost.len() > deficit.lost.len() || worse(&after, &deficit) {
+                if after.is_worse_than(&deficit) {
                     marked = mark_leaves(lattice, &elements, &found, &after, self.input.targets, finest);
                     if !marked.contains(&true) {
                         // At the finest level: keep the elements that hold voxels of their own label.
@@ -113,8 +130,15 @@ impl Rounds<'_> {
                     }
                 }
                 deficit = self.deficit(&found);
-                if self.input.region_threshold.is_some() && !marked.contains(&true) {
-                    marked = self.make_manifold(lattice, &mut elements, &deficit, finest)?;
+                if !marked.contains(&true) {
+                    if self.input.region_threshold.is_some() {
+                        let limit = RefinementLimit { finest, rounds_left: topology_rounds };
+                        topology_rounds = topology_rounds.saturating_sub(1);
+                        marked = self.make_manifold(lattice, &mut elements, &deficit, limit)?;
+                    } else if self.smooths {
+                        let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len())?;
+                        self.relabel_pinches(lattice, &mut elements, &neighbors, &deficit)?;
+                    }
                     found = self.count(lattice, &elements)?;
                     deficit = self.deficit(&found);
                 }
@@ -168,83 +192,95 @@ impl Rounds<'_> {
         Ok(())
     }
 
-    /// Relabels loose regions and pinched elements; returns the leaves to refine where that was not enough.
-    fn make_manifold(
+    /// Relabels pinched elements where that costs neither fidelity nor a component.
+    fn relabel_pinches(
         &mut self,
         lattice: &RedGreenLattice,
         elements: &mut Elements,
+        neighbors: &[[u32; 4]],
         before: &Deficit,
-        finest: u32,
+    ) -> Result<()> {
+        let vertices = lattice.vertices.positions.len();
+        let unchanged = elements.labels.clone();
+        let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices);
+        let changed = self.report.timed("topology", || topology.repair(&mut elements.labels, |_| false));
+        if changed == 0 {
+            return Ok(());
+        }
+        let found = self.count(lattice, elements)?;
+        if self.deficit(&found).is_worse_than(before) {
+            elements.labels = unchanged;
+        } else {
+            self.report.add("topology.relabelled", changed as f64);
+        }
+        Ok(())
+    }
+
+    /// Relabels loose regions and pinched elements; returns the leaves to refine where that was not enough. When nothing
+    /// is to be refined any more, what still pinches is carved.
+    fn make_manifold(
+        &mut self,
+        lattice: &mut RedGreenLattice,
+        elements: &mut Elements,
+        before: &Deficit,
+        limit: RefinementLimit,
     ) -> Result<Vec<bool>> {
         let vertices = lattice.vertices.positions.len();
         let neighbors = self.report.timed("adjacency", || neighbors_of(&elements.tets, vertices))?;
         let unchanged = elements.labels.clone();
-        let threshold = self.input.region_threshold.unwrap_or(0.0);
-        let labels = self.input.values.len();
+        let (threshold, labels) = (self.input.region_threshold.unwrap_or(0.0), self.input.values.len());
         relabel_loose_regions(lattice, elements, &neighbors, labels, threshold);
         let found = self.count(lattice, elements)?;
-        let after = self.deficit(&found);
-        if after.lost.len() > before.lost.len() || worse(&after, before) {
+        if self.deficit(&found).is_worse_than(before) {
             elements.labels = unchanged;
         }
+        self.relabel_pinches(lattice, elements, &neighbors, before)?;
         let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
-        let changed = self.report.timed("topology", || topology.repair(&mut elements.labels, |_| false));
-        self.report.add("topology.relabelled", changed as f64);
         let pinched = topology.pinched(&elements.labels);
-        self.report.set("topology.pinched_vertices", pinched.len() as f64);
-        let mut marked = vec![false; lattice.tets.len()];
-        let around = topology.elements_around(&pinched);
-        for e in &around {
-            let leaf = elements.leaves[*e as usize] as usize;
-            marked[leaf] = u32::from(lattice.levels[leaf]) < finest;
-        }
-        let found = self.count(lattice, elements)?;
-        let after = self.deficit(&found);
-        let more = mark_leaves(lattice, elements, &found, &after, self.input.targets, finest);
-        marked.iter_mut().zip(more).for_each(|(m, more)| *m |= more);
         let regions = regions_of(elements, &neighbors);
-        self.mark_disconnected(lattice, elements, &regions, finest, &mut marked);
-        if !marked.contains(&true) {
-            self.tell_topology(lattice, elements, &topology, &pinched);
+        let image = Components::new(self.input.image, Connectivity::Face, Members::Foreground);
+        let surplus = surplus_of(&regions, &image, labels);
+        let mut marked = vec![false; lattice.tets.len()];
+        if limit.rounds_left > 0 {
+            let mut mark = |e: u32| {
+                let leaf = elements.leaves[e as usize] as usize;
+                marked[leaf] |= u32::from(lattice.levels[leaf]) < limit.finest;
+            };
+            topology.elements_around(&pinched).into_iter().for_each(&mut mark);
+            // Elements inside of a label cannot connect its regions: its boundary is refined.
+            let lies_apart = |e: usize, label: Label| {
+                let is_foreign = |n: &u32| *n == OUTSIDE || elements.labels[*n as usize] != label;
+                surplus[label.index()] > 0 && neighbors[e].iter().any(is_foreign)
+            };
+            let apart = (0..elements.tets.len()).filter(|e| lies_apart(*e, elements.labels[*e]));
+            apart.for_each(|e| mark(e as u32));
         }
+        if marked.contains(&true) {
+            return Ok(marked);
+        }
+        self.report.set("topology.carved_vertices", pinched.len() as f64);
+        let joinable = joinable_regions(elements, &regions, surplus);
+        let is_carved = !pinched.is_empty() && carve(lattice, elements, &neighbors, &pinched, &joinable) > 0;
+        let vertices = lattice.vertices.positions.len();
+        let neighbors = if is_carved { neighbors_of(&elements.tets, vertices)? } else { neighbors };
+        self.tell_topology(lattice, elements, &InterfaceTopology::new(&elements.tets, &neighbors, vertices));
+        self.tell_regions(&surplus_of(&regions_of(elements, &neighbors), &image, labels));
         Ok(marked)
     }
 
-    /// Marks the whole sub-mesh of labels with more regions than the image has face-connected components.
-    fn mark_disconnected(
-        &self,
-        lattice: &RedGreenLattice,
-        elements: &Elements,
-        regions: &[(Label, Vec<u32>)],
-        finest: u32,
-        marked: &mut [bool],
-    ) {
-        let image = Components::new(self.input.image, Connectivity::Face, Members::Foreground);
-        let mut surplus = vec![0i64; self.input.values.len()];
-        image.components().iter().for_each(|c| surplus[c.label.index()] -= 1);
-        regions.iter().for_each(|(label, _)| surplus[label.index()] += 1);
-        for (leaf, label) in elements.leaves.iter().zip(&elements.labels) {
-            let level = u32::from(lattice.levels[*leaf as usize]);
-            marked[*leaf as usize] |= surplus[label.index()] > 0 && !label.is_background() && level < finest;
-        }
-        for (label, count) in surplus.iter().enumerate().skip(1) {
-            if *count > 0 && !marked.contains(&true) {
-                let value = self.input.values[label];
-                let text = format!("the mesh of label {value} has {count} regions more than the image");
-                let finding = Finding::new(FindingCode::DisconnectedMesh, Severity::Warning, text);
-                self.context.report(finding.with_ids(i64::from(value), *count));
-            }
+    fn tell_regions(&self, surplus: &[i64]) {
+        for (label, count) in surplus.iter().enumerate().filter(|(_, count)| **count > 0) {
+            let value = self.input.values[label];
+            let text = format!("the mesh of label {value} has {count} regions more than the image");
+            let finding = Finding::new(FindingCode::DisconnectedMesh, Severity::Warning, text);
+            self.context.report(finding.with_ids(i64::from(value), *count));
         }
     }
 
-    fn tell_topology(
-        &self,
-        lattice: &RedGreenLattice,
-        elements: &Elements,
-        topology: &InterfaceTopology,
-        pinched: &[u32],
-    ) {
-        for vertex in pinched {
+    fn tell_topology(&mut self, lattice: &RedGreenLattice, elements: &Elements, topology: &InterfaceTopology) {
+        let pinched = topology.pinched(&elements.labels);
+        self.report.set("topology.pinched_vertices", pinched.len() as f64);
+        for vertex in &pinched {
             let label = topology.elements_around(&[*vertex]).into_iter().map(|e| elements.labels[e as usize]).max();
             let value = label.map_or(0, |l| self.input.values[l.index()]);
             let local = lattice.frame.local(lattice.vertices.positions[*vertex as usize]);
@@ -287,77 +323,6 @@ impl Rounds<'_> {
                     .with_ids(i64::from(value), component.voxels as i64)
                     .at(voxel.index_to_world(glam::DVec3::new(i, j, k)).to_array()),
             );
-        }
-    }
-}
-
-/// Whether a label lacks fidelity after the relabelling that had it before.
-fn worse(after: &Deficit, before: &Deficit) -> bool {
-    after.lacking.iter().zip(&before.lacking).any(|(a, b)| *a && !*b)
-}
-
-/// Elements connected through faces within one label; background is left out.
-fn regions_of(elements: &Elements, neighbors: &[[u32; 4]]) -> Vec<(Label, Vec<u32>)> {
-    let mut seen = vec![false; elements.tets.len()];
-    let mut regions = Vec::new();
-    for start in 0..elements.tets.len() {
-        let label = elements.labels[start];
-        if seen[start] || label.is_background() {
-            continue;
-        }
-        seen[start] = true;
-        let mut region = vec![start as u32];
-        let mut next = 0;
-        while next < region.len() {
-            for near in neighbors[region[next] as usize] {
-                if near != OUTSIDE && !seen[near as usize] && elements.labels[near as usize] == label {
-                    seen[near as usize] = true;
-                    region.push(near);
-                }
-            }
-            next += 1;
-        }
-        regions.push((label, region));
-    }
-    regions
-}
-
-/// Gives regions below a share of their label's volume the commonest label around them.
-fn relabel_loose_regions(
-    lattice: &RedGreenLattice,
-    elements: &mut Elements,
-    neighbors: &[[u32; 4]],
-    labels: usize,
-    threshold: f64,
-) {
-    let volume = |e: &u32| {
-        let [a, b, c, d] = elements.tets[*e as usize].map(|v| lattice.vertices.positions[v as usize].as_dvec3());
-        (b - a).cross(c - a).dot(d - a)
-    };
-    let regions = regions_of(elements, neighbors);
-    let volumes: Vec<f64> = regions.iter().map(|(_, region)| region.iter().map(volume).sum()).collect();
-    let (mut totals, mut largest) = (vec![0.0; labels], vec![(0.0, 0); labels]);
-    for (r, ((label, _), volume)) in regions.iter().zip(&volumes).enumerate() {
-        totals[label.index()] += volume;
-        if *volume > largest[label.index()].0 {
-            largest[label.index()] = (*volume, r);
-        }
-    }
-    for (r, (label, region)) in regions.iter().enumerate() {
-        if largest[label.index()].1 == r || volumes[r] >= threshold * totals[label.index()] {
-            continue;
-        }
-        let mut around: Vec<Label> = Vec::new();
-        for near in region.iter().flat_map(|e| neighbors[*e as usize]) {
-            let other = if near == OUTSIDE { Label::BACKGROUND } else { elements.labels[near as usize] };
-            if other != *label {
-                around.push(other);
-            }
-        }
-        around.sort_unstable();
-        let commonest = around.chunk_by(|a, b| a == b).max_by_key(|run| (run.len(), std::cmp::Reverse(run[0])));
-        if let Some(run) = commonest {
-            region.iter().for_each(|e| elements.labels[*e as usize] = run[0]);
         }
     }
 }

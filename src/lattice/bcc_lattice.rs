@@ -39,6 +39,10 @@ const GENERIC_SHIFT: DVec3 = DVec3::new(0.0309, 0.0471, 0.0233);
 /// Displacement of voxel centres when they are counted, in voxels: a centre never lies on a face of two elements.
 const COUNTING_SHIFT: DVec3 = DVec3::new(1.3e-6, 2.1e-6, 3.7e-6);
 
+/// Elements with edges up to this many voxels take interpolated labels: below two voxels, with room for spacings that are
+/// not a power of two times the voxel.
+const SMALL_EDGE: f64 = 1.5;
+
 /// Distance of a tet's centroid to its farthest vertex, per cube edge: sqrt(5) / 4.
 pub const TET_RADIUS: f64 = 0.559_016_994_374_947_5;
 
@@ -136,6 +140,7 @@ pub struct Field<'a> {
     size: IVec3,
     voxel: DVec3,
     inverse: DVec3,
+    diagonal: f64,
 }
 
 impl<'a> Field<'a> {
@@ -143,7 +148,12 @@ impl<'a> Field<'a> {
     pub fn new(image: &'a LabelImage, distance: &'a [f32]) -> Self {
         let size = IVec3::from_array(image.grid().size().map(|s| s as i32));
         let voxel = image.grid().spacing();
-        Self { image, distance, size, voxel, inverse: voxel.recip() }
+        Self { image, distance, size, voxel, inverse: voxel.recip(), diagonal: voxel.length() }
+    }
+
+    /// Size of a voxel: the root mean square of its spacings, mm. The staircase of an image is that coarse.
+    pub fn voxel_size(&self) -> f64 {
+        self.diagonal / 3f64.sqrt()
     }
 
     /// Size of the image in voxels.
@@ -176,6 +186,71 @@ impl<'a> Field<'a> {
             (index, true) => self.image.voxels()[self.offset(index)],
             _ => Label::BACKGROUND,
         }
+    }
+
+    /// The label of an element of the given edge around a point.
+    ///
+    /// For an element smaller than two voxels it is the label with the largest share in the trilinear interpolation of the
+    /// labels of the eight voxels around the point: a wall whose voxels touch along edges only is closed there, as it
+    /// has two of the four voxels; at the centre of a voxel it is the voxel's label. For a larger element it is the label
+    /// of the voxel around the point, a sample without preference, which keeps the shares of rough labels.
+    #[inline]
+    pub fn label_of_element(&self, local: DVec3, edge: f64) -> Label {
+        let (index, inside) = self.nearest(local);
+        let offset = self.offset(index);
+        let own = self.image.voxels()[offset];
+        // The eight voxels lie within a voxel's diagonal of the nearest.
+        let is_alone = f64::from(self.distance[offset]) > self.diagonal && (inside || own.is_background());
+        if is_alone || edge > SMALL_EDGE * self.voxel_size() {
+            return if inside { own } else { Label::BACKGROUND };
+        }
+        self.interpolated_label(local * self.inverse)
+    }
+
+    /// Signed distance to the boundary of `label`, mm, positive inside: interpolated between the voxels' distances, half
+    /// a voxel short of the nearest centre beyond the boundary. Past the image its outermost voxels continue.
+    pub fn signed_distance(&self, local: DVec3, label: Label) -> f64 {
+        let at = local * self.inverse;
+        let base = at.floor();
+        let fraction = at - base;
+        let base = base.as_ivec3();
+        let half = 0.5 * self.voxel.min_element();
+        let mut sum = 0.0;
+        for corner in 0..8 {
+            let step = IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2);
+            let along = |d: usize| if step[d] == 1 { fraction[d] } else { 1.0 - fraction[d] };
+            let offset = self.offset((base + step).clamp(IVec3::ZERO, self.size - 1));
+            let distance = f64::from(self.distance[offset]) - half;
+            let sign = if self.image.voxels()[offset] == label { 1.0 } else { -1.0 };
+            sum += along(0) * along(1) * along(2) * sign * distance;
+        }
+        sum
+    }
+
+    /// The label with the largest share at a continuous voxel index.
+    fn interpolated_label(&self, at: DVec3) -> Label {
+        let base = at.floor();
+        let fraction = at - base;
+        let base = base.as_ivec3();
+        let mut shares = [(Label::BACKGROUND, 0.0f64); 8];
+        let mut count = 0;
+        for corner in 0..8 {
+            let step = IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2);
+            let along = |d: usize| if step[d] == 1 { fraction[d] } else { 1.0 - fraction[d] };
+            let weight = along(0) * along(1) * along(2);
+            let index = base + step;
+            let is_inside = index.cmpge(IVec3::ZERO).all() && index.cmplt(self.size).all();
+            let label = if is_inside { self.image.voxels()[self.offset(index)] } else { Label::BACKGROUND };
+            match shares[..count].iter_mut().find(|(l, _)| *l == label) {
+                Some((_, share)) => *share += weight,
+                None => {
+                    shares[count] = (label, weight);
+                    count += 1;
+                }
+            }
+        }
+        let largest = |a: (Label, f64), b: (Label, f64)| if b.1 > a.1 { b } else { a };
+        shares[..count].iter().copied().fold((Label::BACKGROUND, 0.0), largest).0
     }
 
     /// The label that the centres of all voxels within `radius` of `local` share, where there is one label and the

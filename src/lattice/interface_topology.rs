@@ -20,6 +20,8 @@
 
 use std::collections::VecDeque;
 
+use rayon::prelude::*;
+
 use crate::index::Label;
 use crate::lattice::face_adjacency::OUTSIDE;
 use crate::mesh::numbering::TET_FACES;
@@ -64,7 +66,7 @@ impl<'a> InterfaceTopology<'a> {
 
     /// Vertices whose surfaces pinch, increasing.
     pub fn pinched(&self, labels: &[Label]) -> Vec<u32> {
-        (0..self.starts.len() as u32 - 1).filter(|v| self.excess(*v, labels) > 0).collect()
+        (0..self.starts.len() as u32 - 1).into_par_iter().filter(|v| self.excess(*v, labels) > 0).collect()
     }
 
     /// The elements around the given vertices.
@@ -100,15 +102,21 @@ impl<'a> InterfaceTopology<'a> {
     }
 
     fn excess(&self, vertex: u32, labels: &[Label]) -> i64 {
+        let first = self.ball(vertex).first().map(|e| labels[*e as usize]);
+        if self.ball(vertex).iter().all(|e| Some(labels[*e as usize]) == first) && !self.is_open(vertex) {
+            return 0;
+        }
         let around = self.labels_around(vertex, labels);
         if around.len() < 2 {
             return 0;
         }
-        around
-            .into_iter()
-            .filter(|l| !l.is_background())
-            .map(|l| self.groups(vertex, |e| e == l, labels).len() as i64 + self.other_groups(vertex, l, labels) - 2)
-            .sum()
+        around.into_iter().filter(|l| !l.is_background()).map(|l| self.excess_of(vertex, l, labels)).sum()
+    }
+
+    /// Groups of a label around a vertex, and of all that is not the label, beyond one of each.
+    pub fn excess_of(&self, vertex: u32, label: Label, labels: &[Label]) -> i64 {
+        let own = self.groups(vertex, |l| l == label, labels).len() as i64;
+        own.max(1) + self.other_groups(vertex, label, labels).max(1) - 2
     }
 
     /// Groups of the elements not of `label`; the outside joins all elements at open faces.

@@ -83,6 +83,8 @@ pub const PARAMETERS: Table = &[
         "Largest edge length of elements; can be given per label."), Multiplicity::PerLabel),
     times(row("min-element-size", "", above(0.0, INF), Default::Unset, "mm", "Lattice",
         "Elements with edges up to twice this length are not refined further for fidelity; can be given per label. Labels and components are kept all the same."), Multiplicity::PerLabel),
+    row("surface-tolerance", "", above(0.0, INF), Default::Real(0.8), "voxels", "Lattice",
+        "Elements at boundaries are refined past the fidelity, down to the size of a voxel, where straight elements miss the boundary by more than this many voxels: thin walls, narrow gaps, strong curvature. A large value leaves the fidelity alone to decide, and so does target-vertices where this is not given."),
     times(row("fixed-point", "", Kind::Text, Default::Unset, "mm", "Lattice",
         "A point X,Y,Z (LPS mm) that becomes a vertex of the mesh: an electrode, a landmark. Repeatable."), Multiplicity::Repeatable),
     row("target-vertices", "", COUNT, Default::Unset, "", "Lattice",
@@ -242,6 +244,8 @@ pub struct Options {
     pub max_element_size: PerLabel<Option<f64>>,
     /// Elements with edges up to twice this length are not refined for fidelity, mm.
     pub min_element_size: PerLabel<Option<f64>>,
+    /// Largest distance of straight elements from a boundary before they are refined, in voxels (root mean square of the spacings).
+    pub surface_tolerance: f64,
     /// Points that become vertices, LPS mm.
     pub fixed_points: Vec<DVec3>,
     /// Wanted number of vertices.
@@ -332,6 +336,10 @@ impl Options {
             fidelity: per_label(set, "fidelity"),
             max_element_size: optional_per_label(set, "max-element-size"),
             min_element_size: optional_per_label(set, "min-element-size"),
+            surface_tolerance: match set.is_set("target-vertices") && !set.is_set("surface-tolerance") {
+                true => f64::INFINITY,
+                false => set.real("surface-tolerance"),
+            },
             fixed_points: fixed_points(set)?,
             target_vertices: set.is_set("target-vertices").then(|| set.integer("target-vertices") as usize),
             check_mesh_topology: set.flag("check-mesh-topology"),

@@ -56,7 +56,7 @@ pub struct RedGreenLattice<'a> {
 pub struct Elements {
     /// Vertices. 16 B / element.
     pub tets: Vec<[u32; 4]>,
-    /// Label of the voxel around the centroid. 2 B / element.
+    /// Label at the centroid ([`Field::label_of_element`]). 2 B / element.
     pub labels: Vec<Label>,
     /// The leaf each element comes from, increasing. 4 B / element.
     pub leaves: Vec<u32>,
@@ -284,9 +284,10 @@ impl<'a> RedGreenLattice<'a> {
 
     fn push_elements(&self, t: usize, elements: &mut Elements) -> Result<()> {
         let corners = self.tets[t];
+        let edge = self.frame.edge_length(u32::from(self.levels[t]));
         let mut push = |tet: [u32; 4]| {
             elements.tets.push(tet);
-            elements.labels.push(self.field.label_at(self.centroid(&tet)));
+            elements.labels.push(self.field.label_of_element(self.centroid(&tet), edge));
             elements.leaves.push(t as u32);
         };
         if self.levels[t] >= self.deepest {

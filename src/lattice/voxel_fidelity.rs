@@ -38,7 +38,7 @@ pub struct Mismatch {
     pub element_label: Label,
     /// The label of the voxels.
     pub voxel_label: Label,
-    /// The component of the voxels; `u32::MAX` for background and where components are not counted.
+    /// The component of the voxels; `u32::MAX` where components are not counted.
     pub component: u32,
     /// How many voxels.
     pub voxels: u32,
@@ -63,10 +63,7 @@ pub fn mismatches(
                 let first = found.len();
                 let label = elements.labels[e];
                 for_each_foreign_voxel(lattice, &elements.tets[e], label, |index, voxel_label| {
-                    let component = match voxel_label.is_background() {
-                        true => None,
-                        false => components.component_at(index.x as usize, index.y as usize, index.z as usize),
-                    };
+                    let component = components.component_at(index.x as usize, index.y as usize, index.z as usize);
                     let component = component.unwrap_or(u32::MAX);
                     let same = |m: &&mut Mismatch| m.voxel_label == voxel_label && m.component == component;
                     match found[first..].iter_mut().find(same) {

@@ -131,9 +131,14 @@ fn mesh_of_labels(labels: &LabelImage, options: &MeshOptions, context: &RunConte
     }
 }
 
+/// A tolerance that no element of any image exceeds, in voxels.
+const UNBOUNDED_TOLERANCE: f64 = 1e9;
+
 fn lattice_mesh(labels: &LabelImage, options: &MeshOptions, context: &RunContext) -> Result<MixedMesh> {
     let mut parameters = ParameterSet::new(image_to_mesh::PARAMETERS);
     parameters.set("latticeSpacing", Value::Real(options.lattice_spacing))?;
+    // The mesh carries displacements: its boundary need not be better than the fidelity asks for.
+    parameters.set("surface-tolerance", Value::Real(UNBOUNDED_TOLERANCE))?;
     parameters.set("fidelity", Value::Real(options.fidelity))?;
     parameters.set("smoothing-iterations", Value::Integer(options.smoothing_iterations as i64))?;
     for (label, fidelity) in &options.label_fidelities {

@@ -1,0 +1,238 @@
+//! Surfaces that still pinch are made manifold by giving a neighbourhood of the pinch to one label.
+//!
+//! # Method
+//! 1. The pinched vertices span a subcomplex. Every element with some of its vertices pinched is cut between them and the
+//!    others, at the middles of the edges: the inner parts are a regular neighbourhood of the subcomplex.
+//! 2. Each connected group of pinched vertices gets one label for all its inner parts: the label whose pieces the pinch
+//!    keeps apart, or that lies between two others that touch; not one that would join two components of the image.
+//!
+//! ```text
+//!        a                      a
+//!       / \                    / \          v is pinched: tet (v, a, b, c) becomes the small tet
+//!      / l \                  / l \         (v, m_a, m_b, m_c) of the chosen label k and a prism (three tets) that
+//!     /     \      =>        m_a-m_b        keeps the label l
+//!    v-------b              / k \   \
+//!                          v-----m---b
+//! ```
+//! # Source
+//! Our own; regular neighbourhoods are textbook topology ([RourkeSanderson1972] chapter 3). Prisms are split by the
+//! smallest vertex of each side [Dompierre1999].
+//!
+//! # Differences
+//! The thesis refines until nothing pinches, and where the lattice is in the way that never ends.
+//!
+//! # Invariants
+//! At a new vertex in the middle of an edge (s, a) one half of the ball is of one label, the other half is the ball of
+//! the edge; the edge does not pinch, as a is not pinched. So no surface pinches afterwards where the balls of the pinched
+//! vertices are closed. Elements cut keep their place in the order.
+//!
+//! # Limits
+//! A pinched vertex on the outside of the lattice is not filled; it stays and is reported.
+
+use glam::IVec3;
+
+use crate::index::Label;
+use crate::lattice::face_adjacency::OUTSIDE;
+use crate::lattice::interface_topology::InterfaceTopology;
+use crate::lattice::red_green::{Elements, RedGreenLattice};
+
+/// What is known of the pieces of labels, to choose what may be joined.
+pub struct Regions {
+    /// Region of each element: elements of one label connected through faces.
+    pub of_element: Vec<u32>,
+    /// How many more regions each label has than the image has components; these may be joined.
+    pub surplus: Vec<i64>,
+}
+
+/// Cuts the elements around the pinched vertices and labels the inner parts; returns the number of vertices treated.
+pub fn carve(
+    lattice: &mut RedGreenLattice,
+    elements: &mut Elements,
+    neighbors: &[[u32; 4]],
+    pinched: &[u32],
+    regions: &Regions,
+) -> usize {
+    let vertices = lattice.vertices.positions.len();
+    let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices);
+    let mut group_of = vec![u32::MAX; vertices];
+    let mut labels = Vec::new();
+    for group in groups_of(&topology, pinched, &elements.tets) {
+        let around = topology.elements_around(&group);
+        let is_open = around.iter().any(|e| open_at(&elements.tets[*e as usize], &neighbors[*e as usize], &group));
+        let is_even = around.iter().all(|e| has_middles(lattice, &elements.tets[*e as usize]));
+        if is_open || !is_even {
+            continue;
+        }
+        let Some(label) = label_for(&topology, &group, &elements.labels, regions) else { continue };
+        group.iter().for_each(|v| group_of[*v as usize] = labels.len() as u32);
+        labels.push(label);
+    }
+    let treated = group_of.iter().filter(|g| **g != u32::MAX).count();
+    if treated > 0 {
+        cut(lattice, elements, &group_of, &labels);
+    }
+    treated
+}
+
+/// Pinched vertices connected through edges.
+fn groups_of(topology: &InterfaceTopology, pinched: &[u32], tets: &[[u32; 4]]) -> Vec<Vec<u32>> {
+    let mut seen = vec![false; pinched.len()];
+    let mut groups = Vec::new();
+    for start in 0..pinched.len() {
+        if seen[start] {
+            continue;
+        }
+        seen[start] = true;
+        let mut group = vec![pinched[start]];
+        let mut next = 0;
+        while next < group.len() {
+            for e in topology.elements_around(&[group[next]]) {
+                for v in tets[e as usize] {
+                    if let Ok(at) = pinched.binary_search(&v)
+                        && !seen[at]
+                    {
+                        seen[at] = true;
+                        group.push(v);
+                    }
+                }
+            }
+            next += 1;
+        }
+        group.sort_unstable();
+        groups.push(group);
+    }
+    groups
+}
+
+/// Whether a face at a vertex of the group has nothing behind it.
+fn open_at(tet: &[u32; 4], behind: &[u32; 4], group: &[u32]) -> bool {
+    (0..4).any(|f| behind[f] == OUTSIDE && (0..4).any(|v| v != f && group.binary_search(&tet[v]).is_ok()))
+}
+
+/// Whether the middles of all edges are lattice points.
+fn has_middles(lattice: &RedGreenLattice, tet: &[u32; 4]) -> bool {
+    let positions = tet.map(|v| lattice.vertices.positions[v as usize]);
+    positions.iter().all(|p| ((*p - positions[0]) & IVec3::ONE) == IVec3::ZERO)
+}
+
+/// The label that fills a group; `None` where each would join components of the image.
+fn label_for(topology: &InterfaceTopology, group: &[u32], labels: &[Label], regions: &Regions) -> Option<Label> {
+    let around = topology.elements_around(group);
+    let mut candidates: Vec<Label> = around.iter().map(|e| labels[*e as usize]).collect();
+    candidates.sort_unstable();
+    candidates.dedup();
+    let joins_too_much = |label: Label| {
+        let mut pieces: Vec<u32> =
+            around.iter().filter(|e| labels[**e as usize] == label).map(|e| regions.of_element[*e as usize]).collect();
+        pieces.sort_unstable();
+        pieces.dedup();
+        pieces.len() as i64 - 1 > regions.surplus[label.index()].max(0)
+    };
+    let score = |label: Label| group.iter().map(|v| topology.excess_of(*v, label, labels)).sum::<i64>();
+    // The background last: a leak is closed rather than opened.
+    let allowed = candidates.into_iter().filter(|l| !joins_too_much(*l));
+    allowed.max_by_key(|l| (!l.is_background(), score(*l), std::cmp::Reverse(*l)))
+}
+
+/// Cuts every element with vertices in groups.
+fn cut(lattice: &mut RedGreenLattice, elements: &mut Elements, group_of: &[u32], labels: &[Label]) {
+    let old = std::mem::take(elements);
+    for ((tet, own), leaf) in old.tets.iter().zip(&old.labels).zip(&old.leaves) {
+        let group = tet.iter().map(|v| group_of[*v as usize]).find(|g| *g != u32::MAX);
+        let mut push = |lattice: &RedGreenLattice, tet: [u32; 4], label: Label| {
+            elements.tets.push(oriented(lattice, tet));
+            elements.labels.push(label);
+            elements.leaves.push(*leaf);
+        };
+        let Some(group) = group else {
+            elements.tets.push(*tet);
+            elements.labels.push(*own);
+            elements.leaves.push(*leaf);
+            continue;
+        };
+        let filled = labels[group as usize];
+        let (inner, outer): (Vec<u32>, Vec<u32>) = tet.iter().partition(|v| group_of[**v as usize] != u32::MAX);
+        let mut middle = |i: usize, o: usize| {
+            let ends = [inner[i], outer[o]];
+            let position = ends.map(|v| lattice.vertices.positions[v as usize]);
+            let place = (position[0] + position[1]) / 2;
+            lattice.vertices.insert_middle(place, ends, &lattice.frame, &lattice.field).0
+        };
+        match inner.len() {
+            1 => {
+                let m = [middle(0, 0), middle(0, 1), middle(0, 2)];
+                push(lattice, [inner[0], m[0], m[1], m[2]], filled);
+                let prism = [m[0], m[1], m[2], outer[0], outer[1], outer[2]];
+                prism_tets(prism).into_iter().for_each(|t| push(lattice, t, *own));
+            }
+            2 => {
+                let m = [[middle(0, 0), middle(0, 1)], [middle(1, 0), middle(1, 1)]];
+                let inside = [inner[0], m[0][0], m[0][1], inner[1], m[1][0], m[1][1]];
+                let outside = [outer[0], m[0][0], m[1][0], outer[1], m[0][1], m[1][1]];
+                prism_tets(inside).into_iter().for_each(|t| push(lattice, t, filled));
+                prism_tets(outside).into_iter().for_each(|t| push(lattice, t, *own));
+            }
+            3 => {
+                let m = [middle(0, 0), middle(1, 0), middle(2, 0)];
+                let prism = [inner[0], inner[1], inner[2], m[0], m[1], m[2]];
+                prism_tets(prism).into_iter().for_each(|t| push(lattice, t, filled));
+                push(lattice, [m[0], m[1], m[2], outer[0]], *own);
+            }
+            _ => push(lattice, *tet, filled),
+        }
+    }
+}
+
+/// Three tets of a prism with triangles (0 1 2) and (3 4 5), 3 across 0: every side is cut at its smallest vertex, so that
+/// neighbours agree.
+fn prism_tets(mut prism: [u32; 6]) -> [[u32; 4]; 3] {
+    let smallest = (0..6).min_by_key(|v| prism[*v]).unwrap_or(0);
+    if smallest >= 3 {
+        prism = [prism[3], prism[4], prism[5], prism[0], prism[1], prism[2]];
+    }
+    let turn = smallest % 3;
+    let p = |corner: usize| prism[(corner % 3 + turn) % 3 + corner / 3 * 3];
+    // Two sides are cut at 0; the third is (1 2 5 4).
+    if p(1).min(p(5)) < p(2).min(p(4)) {
+        [[p(0), p(1), p(2), p(5)], [p(0), p(1), p(5), p(4)], [p(0), p(4), p(5), p(3)]]
+    } else {
+        [[p(0), p(1), p(2), p(4)], [p(0), p(4), p(2), p(5)], [p(0), p(4), p(5), p(3)]]
+    }
+}
+
+fn oriented(lattice: &RedGreenLattice, tet: [u32; 4]) -> [u32; 4] {
+    let [a, b, c, d] = tet.map(|v| lattice.vertices.positions[v as usize].as_dvec3());
+    // Whole numbers below 2^21: products of three differences of neighbours are exact in doubles.
+    if (b - a).cross(c - a).dot(d - a) > 0.0 { tet } else { [tet[0], tet[1], tet[3], tet[2]] }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn prisms_of_any_numbering_have_cuts_at_smallest_vertices() {
+        // Volume of the unit prism is covered, and each side's diagonal starts at the side's smallest vertex.
+        let corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]].map(IVec3::from_array);
+        let sides = [[0, 1, 4, 3], [1, 2, 5, 4], [0, 2, 5, 3]];
+        let mut numbers = [0u32, 1, 2, 3, 4, 5];
+        for step in 0..720usize {
+            let tets = prism_tets(numbers);
+            let at = |v: u32| numbers.iter().position(|n| *n == v).unwrap();
+            let volume6 = |t: &[u32; 4]| {
+                let [a, b, c, d] = t.map(|v| corners[at(v)].as_dvec3());
+                (b - a).cross(c - a).dot(d - a).abs()
+            };
+            assert_eq!(tets.iter().map(volume6).sum::<f64>(), 3.0);
+            for side in sides {
+                let smallest = side.into_iter().min_by_key(|c| numbers[*c]).unwrap();
+                let place = side.iter().position(|c| *c == smallest).unwrap();
+                let (from, to) = (numbers[smallest], numbers[side[(place + 2) % 4]]);
+                assert!(tets.iter().any(|t| t.contains(&from) && t.contains(&to)), "{numbers:?} {side:?}");
+            }
+            // The next permutation by Heap's transpositions in factorial base.
+            let i = 1 + step % 5;
+            numbers.swap(i, (step / 5) % i.max(1));
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! Shapes whose topology is known: thin shells, bodies that touch, cavities.
+
+use glam::{DMat3, DVec3};
+
+use crate::context::RunContext;
+use crate::image::grid::Grid;
+use crate::image::label_image::LabelImage;
+use crate::index::Label;
+use crate::lattice::face_adjacency::neighbors_of;
+use crate::lattice::interface_topology::InterfaceTopology;
+use crate::lattice::options::{Options, PARAMETERS};
+use crate::mesh::mixed_mesh::MixedMesh;
+use crate::mesh::validation::check_mixed_mesh;
+use crate::parameters::ParameterSet;
+
+/// An image of `n^3` voxels labelled by a function of the voxel centre.
+fn image(n: usize, label: impl Fn(DVec3) -> u16) -> LabelImage {
+    let grid = Grid::new([n; 3], DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).unwrap();
+    let at = |i: usize| DVec3::new((i % n) as f64, (i / n % n) as f64, (i / n / n) as f64);
+    let voxels: Vec<Label> = (0..n * n * n).map(|i| Label(label(at(i)))).collect();
+    let labels = i32::from(voxels.iter().map(|l| l.0).max().unwrap());
+    LabelImage::new(grid, voxels, (0..=labels).collect()).unwrap()
+}
+
+fn mesh(image: &LabelImage, options: &[(&str, &str)]) -> MixedMesh {
+    let mut set = ParameterSet::new(PARAMETERS);
+    options.iter().for_each(|(name, value)| set.set_text(name, value).unwrap());
+    let options = Options::from_parameters(&set).unwrap();
+    let context = RunContext::with_threads(1).unwrap();
+    let mesh = super::run(image, &options, &context).unwrap().0.mesh;
+    check_mixed_mesh(&mesh).unwrap();
+    mesh
+}
+
+/// Vertices at which the surface of a label pinches.
+fn pinched(mesh: &MixedMesh) -> usize {
+    let tets: Vec<[u32; 4]> = mesh.tets().unwrap().iter().map(|t| t.map(|v| v.index() as u32)).collect();
+    let labels: Vec<Label> = mesh.labels.iter().map(|l| Label(*l as u16)).collect();
+    let neighbors = neighbors_of(&tets, mesh.points.len()).unwrap();
+    InterfaceTopology::new(&tets, &neighbors, mesh.points.len()).pinched(&labels).len()
+}
+
+/// Pieces of a label that hang together through faces.
+fn pieces(mesh: &MixedMesh, label: i32) -> usize {
+    let tets: Vec<[u32; 4]> = mesh.tets().unwrap().iter().map(|t| t.map(|v| v.index() as u32)).collect();
+    let neighbors = neighbors_of(&tets, mesh.points.len()).unwrap();
+    let mut seen = vec![false; tets.len()];
+    let mut count = 0;
+    for start in 0..tets.len() {
+        if seen[start] || mesh.labels[start] != label {
+            continue;
+        }
+        count += 1;
+        let mut stack = vec![start];
+        seen[start] = true;
+        while let Some(e) = stack.pop() {
+            for near in neighbors[e].into_iter().filter(|n| *n != u32::MAX).map(|n| n as usize) {
+                if !seen[near] && mesh.labels[near] == label {
+                    seen[near] = true;
+                    stack.push(near);
+                }
+            }
+        }
+    }
+    count
+}
+
+fn volume_of(mesh: &MixedMesh, label: i32) -> f64 {
+    let tets = mesh.tets().unwrap();
+    let of_label = (0..tets.len()).filter(|t| mesh.labels[*t] == label);
+    of_label.map(|t| crate::geometry::tetrahedron::volume(tets[t].map(|v| mesh.points[v.index()]))).sum()
+}
+
+const BOTH_CHECKS: [(&str, &str); 2] = [("check-image-topology", "1"), ("check-mesh-topology", "1")];
+
+#[test]
+fn a_shell_of_one_and_a_half_voxels_stays_in_one_piece_with_its_volume() {
+    let center = DVec3::new(9.3, 9.1, 9.6);
+    let shell = image(20, |p| match p.distance(center) {
+        d if d < 5.5 => 1,
+        d if d < 7.0 => 2,
+        _ => 0,
+    });
+    let result = mesh(&shell, &[]);
+    assert_eq!((pieces(&result, 1), pieces(&result, 2)), (1, 1));
+    for label in 1..3u16 {
+        let voxels = shell.voxels().iter().filter(|l| l.0 == label).count() as f64;
+        let error = (volume_of(&result, i32::from(label)) / voxels - 1.0).abs();
+        assert!(error < 0.02, "label {label}: {error}");
+    }
+    // Nothing inside touches the outside: the outer boundary belongs to the shell alone.
+    let tets: Vec<[u32; 4]> = result.tets().unwrap().iter().map(|t| t.map(|v| v.index() as u32)).collect();
+    let neighbors = neighbors_of(&tets, result.points.len()).unwrap();
+    assert!((0..tets.len()).all(|t| result.labels[t] == 2 || !neighbors[t].contains(&u32::MAX)));
+}
+
+#[test]
+fn cubes_that_touch_at_a_corner_or_an_edge_do_not_pinch_with_both_checks() {
+    let inside = |p: DVec3, low: DVec3| p.cmpge(low).all() && p.cmplt(low + 5.0).all();
+    for second in [DVec3::splat(9.0), DVec3::new(9.0, 9.0, 4.0)] {
+        let cubes = image(18, |p| u16::from(inside(p, DVec3::splat(4.0)) || inside(p, second)));
+        let result = mesh(&cubes, &BOTH_CHECKS);
+        assert_eq!(pinched(&result), 0);
+        assert!(pieces(&result, 1) <= 2);
+    }
+}
+
+#[test]
+fn checkered_labels_do_not_pinch_with_both_checks() {
+    // Blocks of two labels meet like a checkerboard: many contacts at edges and corners.
+    let block = |p: DVec3| (p / 4.0).floor().as_ivec3().element_sum() & 1;
+    let ball = |p: DVec3| p.distance(DVec3::splat(7.6)) < 6.4;
+    let checkered = image(16, |p| if ball(p) { 1 + block(p) as u16 } else { 0 });
+    for smoothing in ["0", "5"] {
+        let options = [BOTH_CHECKS[0], BOTH_CHECKS[1], ("smoothing-iterations", smoothing)];
+        assert_eq!(pinched(&mesh(&checkered, &options)), 0, "{smoothing}");
+    }
+}
+
+#[test]
+fn a_closed_cavity_of_eight_voxels_is_kept() {
+    let body = image(24, |p| {
+        let cavity = p.cmpge(DVec3::splat(11.0)).all() && p.cmplt(DVec3::splat(13.0)).all();
+        u16::from(p.distance(DVec3::splat(11.4)) < 9.5 && !cavity)
+    });
+    for smoothing in ["0", "5"] {
+        let result = mesh(&body, &[("surface-tolerance", "100"), ("smoothing-iterations", smoothing)]);
+        let near = |p: DVec3| p.distance(DVec3::splat(11.5)) < 3.0;
+        let walls = result.boundary.triangles.iter().filter(|t| t.iter().all(|v| near(result.points[v.index()])));
+        assert!(walls.count() >= 4, "{smoothing}");
+    }
+}
+
+#[test]
+fn a_large_surface_tolerance_leaves_the_fidelity_alone_to_decide() {
+    let rod = image(20, |p| u16::from(DVec3::new(p.x - 9.2, p.y - 9.4, 0.0).length() < 1.3 || p.z < 6.0));
+    let count =
+        |tolerance| mesh(&rod, &[("surface-tolerance", tolerance), ("smoothing-iterations", "0")]).element_count();
+    assert!(count("100") < count("0.8"));
+}
