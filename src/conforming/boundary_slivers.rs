@@ -221,7 +221,8 @@ mod tests {
         complex.check_invariants().unwrap();
         let mut outside: Vec<_> = boundary_triangles(&complex).into_iter().map(face_key).collect();
         let mut keys: Vec<_> = subfaces.into_keys().collect();
-        (outside.sort_unstable(), keys.sort_unstable());
+        outside.sort_unstable();
+        keys.sort_unstable();
         assert_eq!(outside, keys);
         count
     }

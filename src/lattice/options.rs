@@ -84,7 +84,7 @@ pub const PARAMETERS: Table = &[
     times(row("min-element-size", "", above(0.0, INF), Default::Unset, "mm", "Lattice",
         "Elements with edges up to twice this length are not refined further for fidelity; can be given per label. Labels and components are kept all the same."), Multiplicity::PerLabel),
     row("surface-tolerance", "", above(0.0, INF), Default::Real(0.8), "voxels", "Lattice",
-        "Elements at boundaries are refined past the fidelity, down to the size of a voxel, where straight elements miss the boundary by more than this many voxels: thin walls, narrow gaps, strong curvature. A large value leaves the fidelity alone to decide, and so does target-vertices where this is not given."),
+        "Elements at boundaries are refined past the fidelity, down to edges of two voxels, where straight elements miss the boundary by more than this many voxels: thin walls, narrow gaps, strong curvature. A large value leaves the fidelity alone to decide, and so does target-vertices where this is not given."),
     times(row("fixed-point", "", Kind::Text, Default::Unset, "mm", "Lattice",
         "A point X,Y,Z (LPS mm) that becomes a vertex of the mesh: an electrode, a landmark. Repeatable."), Multiplicity::Repeatable),
     row("target-vertices", "", COUNT, Default::Unset, "", "Lattice",

@@ -9,7 +9,7 @@
 //! 4. A leaf is marked as well where the signed distance of a label bends within it: the interpolation between its
 //!    vertices misses the distance in the middle of an edge, or at the centroid, by more than the tolerance.
 //!    Straight elements cannot follow the boundary there, however many voxels they agree on: walls and gaps
-//!    thinner than the element, tips, strong curvature. It ends at elements of about a voxel.
+//!    thinner than the element, tips, strong curvature. It ends at elements of two voxels.
 //!
 //! # Source
 //! [Drakopoulos2017] 2.3.3.
@@ -40,8 +40,9 @@ const FINEST_EDGE_IN_VOXELS: f64 = 0.5;
 const SMALLEST_CAVITY: u64 = 8;
 
 /// The tolerance of boundaries refines no leaf with edges up to this, in voxels: the distance of voxel centres
-/// is right within half a voxel only, so finer elements would follow the staircase.
-const RESOLVED_EDGE: f64 = 1.25;
+/// is right within half a voxel only, so finer elements would follow the staircase. On an atlas of 116 regions with
+/// rough borders, 1.25 instead of 2 made 18 instead of 2.3 million tets, and nothing better on smooth shapes.
+const RESOLVED_EDGE: f64 = 2.0;
 
 /// What is asked of each label, by compact label.
 #[derive(Debug, Clone)]

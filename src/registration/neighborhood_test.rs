@@ -140,7 +140,7 @@ mod tests {
     fn matches_that_contradict_their_neighbours_are_found_in_a_field_with_a_gradient() {
         let points: Vec<DVec3> =
             (0..1000).map(|n| DVec3::new((n % 10) as f64, (n / 10 % 10) as f64, (n / 100) as f64) * 3.0).collect();
-        let wrong = |n: usize| n % 37 == 0;
+        let wrong = |n: usize| n.is_multiple_of(37);
         let shifts: Vec<DVec3> = points
             .iter()
             .enumerate()
