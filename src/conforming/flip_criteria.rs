@@ -99,7 +99,7 @@ impl TetMeasure for BiasedSine {
 /// Angles that tets off the boundary are expected to reach at any price for those on it, degrees.
 const STRICT_ANGLES: (f64, f64) = (15.0, 155.0);
 
-/// The grade of a tet that nothing forces to be bad: below [`STRICT_ANGLES`] it falls with the ninth power, so that no
+/// The grade of a tet that nothing forces to be bad: below `STRICT_ANGLES` it falls with the ninth power, so that no
 /// operation pays for a better tet at the boundary, where the surface may force bad angles, with a bad one off it.
 #[inline]
 pub fn strict(grade: f64) -> f64 {
