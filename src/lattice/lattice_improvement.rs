@@ -19,7 +19,7 @@
 //!
 //! # Limits
 //! Only elements are kept from turning over. Two parts of a surface across a gap of background thinner than the smoothing
-//! are not kept apart: they can cut into each other by a fraction of a voxel.
+//! are not kept apart here; `overlap_removal` moves back what then crosses, and a finding counts what it cannot.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -34,6 +34,7 @@ use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_score::{Ball, Threshold, tet_fails};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::local_transformations::{TransformationCounts, transform};
+use crate::lattice::overlap_removal::remove_overlaps;
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
 
@@ -78,6 +79,11 @@ const SLACK: f64 = 0.12;
 /// in a thousand stay off their surface; below the second score an angle is worse than half a voxel.
 const LAST_PASSES: [(f64, f64); 4] = [(WANTED, 0.2), (WANTED, 0.3), (12.5, 0.45), (12.5, 0.6)];
 
+/// Scores that moving crossing sheets apart may leave before the last passes, which raise them again, and after these.
+const LOWEST_BETWEEN: f64 = 4.0;
+/// See `LOWEST_BETWEEN`.
+const LOWEST_AT_LAST: f64 = 10.0;
+
 /// Largest offset of a label's surface, in smallest spacings.
 const LARGEST_OFFSET: f64 = 0.5;
 
@@ -112,6 +118,8 @@ pub struct ImprovementSummary {
     pub lowest: f64,
     /// Transformations made.
     pub counts: TransformationCounts,
+    /// Pairs of outer faces that still cross.
+    pub crossings: usize,
 }
 
 /// Improves the tets of a mesh; `surface` gets the offsets that keep the volumes.
@@ -141,6 +149,8 @@ pub fn improve(
             update_offsets(&mut work, &wanted_volumes, image);
         }
     }
+    let spacing = image.grid().spacing().min_element();
+    remove_overlaps(&mut work, spacing, LOWEST_BETWEEN, context)?;
     for (score, slack) in LAST_PASSES {
         let wanted = score.max(options.min_dihedral_angle);
         let slack = slack * image.grid().spacing().min_element();
@@ -155,6 +165,7 @@ pub fn improve(
             relax_inside(&mut work, v, f64::INFINITY);
         });
     }
+    summary.crossings = remove_overlaps(&mut work, spacing, LOWEST_AT_LAST, context)?;
     let low = low_tets(&work, wanted);
     summary.low_after = low.len();
     summary.lowest = low.first().map_or(wanted, |(score, _)| *score);

@@ -34,6 +34,7 @@ pub mod local_transformations;
 pub mod mesh_regions;
 pub mod mixed_elements;
 pub mod options;
+pub mod overlap_removal;
 pub mod red_green;
 pub mod red_green_tables;
 pub mod report;

@@ -85,6 +85,11 @@ pub fn smooth(
     report.set("improvement.low_before", result.low_before as f64);
     report.set("improvement.low_after", result.low_after as f64);
     report.set("improvement.lowest_score", result.lowest);
+    report.set("improvement.crossings", result.crossings as f64);
+    if result.crossings > 0 {
+        let text = format!("{} pairs of surface triangles cross: the mesh overlaps itself there", result.crossings);
+        context.report(Finding::new(FindingCode::IntersectingTriangles, Severity::Warning, text));
+    }
     report.set("improvement.edge_removals", result.counts.edge_removals as f64);
     report.set("improvement.face_exchanges", result.counts.face_exchanges as f64);
     report.set("improvement.contractions", result.counts.contractions as f64);
