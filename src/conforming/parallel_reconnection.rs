@@ -98,7 +98,20 @@ struct Tally {
     collapsed: u64,
     smoothed: u64,
     removed: u64,
+    /// Insertions tried.
+    tried: u64,
     inserted: u64,
+}
+
+/// Counts of the points that treatments tried, inserted and removed.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct VertexChanges {
+    /// Insertions tried.
+    pub tried: u64,
+    /// Points inserted.
+    pub inserted: u64,
+    /// Vertices removed.
+    pub removed: u64,
 }
 
 /// Work on one item, for any store; no claim is held before and after.
@@ -305,6 +318,12 @@ impl Driver {
         counts
     }
 
+    /// The points that treatments have tried, inserted and removed so far.
+    pub fn vertex_changes(&self) -> VertexChanges {
+        let sum = |pick: fn(&Tally) -> u64| self.kits.iter().map(|k| pick(&k.tally)).sum();
+        VertexChanges { tried: sum(|t| t.tried), inserted: sum(|t| t.inserted), removed: sum(|t| t.removed) }
+    }
+
     /// Adds the figures of all passes.
     pub fn record(&self, figures: &mut Statistics, prefix: &str) {
         let sum = |pick: fn(&Tally) -> u64| self.kits.iter().map(|k| pick(&k.tally)).sum::<u64>() as f64;
@@ -313,6 +332,7 @@ impl Driver {
             ("edges_collapsed", sum(|t| t.collapsed)),
             ("vertices_smoothed", sum(|t| t.smoothed)),
             ("vertices_removed", sum(|t| t.removed)),
+            ("points_tried", sum(|t| t.tried)),
             ("vertices_inserted", sum(|t| t.inserted)),
             ("attempts", self.speculative.attempts as f64),
             ("attempts_lost", self.speculative.lost as f64),
@@ -445,17 +465,24 @@ impl Driver {
         self.finish_lost(complex, objective, four).map(|_| ())
     }
 
-    /// Collapses edges shorter than `factor` times the smaller size of their ends, where one end is free to go and no
+    /// Collapses edges of tets with vertices `within` that are shorter than `factor` times the smaller size of their ends, where one end is free to go and no
     /// tet around gets worse than the worst of them was.
     ///
     /// # Errors
     /// As [`Driver::insert`].
-    pub fn collapse_small_edges(&mut self, complex: &mut TetComplex, sizes: &[f64], factor: f64) -> Result<()> {
+    pub fn collapse_small_edges(
+        &mut self,
+        complex: &mut TetComplex,
+        sizes: &[f64],
+        factor: f64,
+        within: &(impl Fn(&[VertexId; 4]) -> bool + Sync),
+    ) -> Result<()> {
         let reader = &*complex;
         let short: Vec<[VertexId; 2]> = self.context.install(|| {
             let mut short: Vec<[VertexId; 2]> = (0..reader.slot_count())
                 .into_par_iter()
                 .with_min_len(2048)
+                .filter(|&i| within(&reader.vertices(TetId::from_index(i))))
                 .flat_map_iter(|i| short_edges(reader, sizes, TetId::from_index(i), factor))
                 .collect();
             short.par_sort_unstable();

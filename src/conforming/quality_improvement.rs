@@ -8,11 +8,16 @@
 //! 4. works through the tets above `angqmsk` or below the matching small angle, worst first: edge removal, multi-face
 //!    removal, a search for the best place of each vertex; for those above `angdfs` also vertex removal and insertion.
 //!
-//! After the passes, and again up to `nqualf` times while a tet is above `angqmax`, the worst tets get all operations.
+//! After the passes the worst tets get all operations. Up to `nqualf` times, while a tet is above `angqmax`, passes and
+//! operations are repeated around these tets.
 //!
 //! # Source
 //! [Drakopoulos2017] 4.9; B.3 `nqual`, `nqualf`, `angqual`, `angqmsk`, `angqmax`, `mrecqm`, `mrecqmf`, `ordtq`, `mdfs`, `ndfs`,
 //! `angdfs`, `mdse`, `cdse`; operations and their order beyond the thesis: [KlingnerShewchuk2007].
+//!
+//! # Differences
+//! The thesis repeats the passes everywhere. Most tets above `angqmax` are forced by the surface, so that nearly every
+//! surface would be improved twice for the sake of few places.
 //!
 //! # Invariants
 //! No operation lowers the worst tet of what it touches (except plain smoothing with `smart` off, which stays valid).
@@ -47,8 +52,48 @@ const WORST_GOAL: (f64, f64) = (24.0, 145.0);
 /// Tets per parallel chunk.
 const CHUNK: usize = 2048;
 
-/// Tets that a rule finds bad, worst first.
-fn bad_tets(complex: &TetComplex, context: &RunContext, is_bad: impl Fn(TetId) -> Option<f64> + Sync) -> Vec<TetId> {
+/// Rings of vertices around the tets above the repeat angle that repeats of the passes work on: an operation at a tet
+/// depends on the balls of its vertices, and what it changes may help the next.
+const REPEAT_RINGS: usize = 2;
+
+/// The vertices whose tets a scan looks at: all, or those marked and what is newer than the marks.
+#[derive(Default)]
+struct Scope(Option<Vec<bool>>);
+
+impl Scope {
+    fn of_vertices(complex: &TetComplex, vertices: impl IntoIterator<Item = VertexId>) -> Self {
+        let mut marks = vec![false; complex.vertex_count()];
+        vertices.into_iter().filter(|v| !v.is_ghost()).for_each(|v| marks[v.index()] = true);
+        Self(Some(marks))
+    }
+
+    /// The vertices of some tets and `rings` rings around them.
+    fn around(complex: &TetComplex, tets: &[TetId], rings: usize) -> Self {
+        let mut scope = Self::of_vertices(complex, tets.iter().flat_map(|&t| complex.vertices(t)));
+        for _ in 0..rings {
+            let reached: Vec<[VertexId; 4]> =
+                complex.finite_tets().map(|t| complex.vertices(t)).filter(|row| scope.holds(row)).collect();
+            scope = Self::of_vertices(complex, reached.into_iter().flatten());
+        }
+        scope
+    }
+
+    #[inline]
+    fn holds(&self, row: &[VertexId]) -> bool {
+        match &self.0 {
+            None => true,
+            Some(marks) => row.iter().any(|v| marks.get(v.index()).copied().unwrap_or(!v.is_ghost())),
+        }
+    }
+}
+
+/// Tets of the scope that a rule finds bad, worst first.
+fn bad_tets(
+    complex: &TetComplex,
+    context: &RunContext,
+    scope: &Scope,
+    is_bad: impl Fn(TetId) -> Option<f64> + Sync,
+) -> Vec<TetId> {
     let slots = complex.slot_count();
     let mut found: Vec<(f64, TetId)> = context.install(|| {
         (0..slots)
@@ -56,20 +101,23 @@ fn bad_tets(complex: &TetComplex, context: &RunContext, is_bad: impl Fn(TetId) -
             .with_min_len(CHUNK)
             .filter_map(|i| {
                 let tet = TetId::from_index(i);
-                let usable = complex.is_live(tet) && !complex.label(tet).is_background() && !complex.is_ghost_tet(tet);
+                let usable = scope.holds(&complex.vertices(tet))
+                    && complex.is_live(tet)
+                    && !complex.label(tet).is_background()
+                    && !complex.is_ghost_tet(tet);
                 if usable { is_bad(tet).map(|grade| (grade, tet)) } else { None }
             })
             .collect()
     });
-    // Stable and by id within a grade: the same order for any thread count.
-    found.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    // By id within a grade: the same order for any thread count.
+    found.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     found.into_iter().map(|(_, tet)| tet).collect()
 }
 
-/// Tets with a dihedral angle above `degrees`, largest first.
-pub fn tets_above(complex: &TetComplex, context: &RunContext, degrees: f64) -> Vec<TetId> {
+/// Tets of the scope with a dihedral angle above `degrees`, largest first.
+fn tets_above(complex: &TetComplex, context: &RunContext, scope: &Scope, degrees: f64) -> Vec<TetId> {
     let limit = degrees.to_radians().cos();
-    bad_tets(complex, context, |tet| {
+    bad_tets(complex, context, scope, |tet| {
         let corners = complex.points_of(tet);
         exceeds_angle(corners, limit).then(|| dihedral_cosines(corners).1)
     })
@@ -78,27 +126,26 @@ pub fn tets_above(complex: &TetComplex, context: &RunContext, degrees: f64) -> V
 /// Slivers: tets with an angle below 2 or above 178 degrees.
 pub fn sliver_count(complex: &TetComplex, context: &RunContext) -> usize {
     let limit = SLIVER_DEGREES.to_radians().cos();
-    bad_tets(complex, context, |tet| {
+    bad_tets(complex, context, &Scope::default(), |tet| {
         let (largest, smallest) = dihedral_cosines(complex.points_of(tet));
         (largest > limit || smallest < -limit).then_some(smallest)
     })
     .len()
 }
 
-/// Tets with a grade below `limit`, worst first.
-fn tets_below(complex: &TetComplex, context: &RunContext, limit: f64) -> Vec<TetId> {
-    bad_tets(complex, context, |tet| {
+/// Tets of the scope with a grade below `limit`, worst first.
+fn tets_below(complex: &TetComplex, context: &RunContext, scope: &Scope, limit: f64) -> Vec<TetId> {
+    bad_tets(complex, context, scope, |tet| {
         let grade = BiasedSine.grade(complex.points_of(tet));
         (grade < limit).then_some(grade)
     })
 }
 
+/// The vertices of some tets, each once, ascending.
 fn vertices_of(complex: &TetComplex, tets: &[TetId]) -> Vec<VertexId> {
-    let mut vertices: Vec<VertexId> =
-        tets.iter().flat_map(|&t| complex.vertices(t)).filter(|v| !v.is_ghost()).collect();
-    vertices.sort_unstable();
-    vertices.dedup();
-    vertices
+    let Scope(marks) = Scope::of_vertices(complex, tets.iter().flat_map(|&t| complex.vertices(t)));
+    let marks = marks.into_iter().flatten().enumerate();
+    marks.filter(|(_, is_marked)| *is_marked).map(|(v, _)| VertexId::from_index(v)).collect()
 }
 
 /// Which vertices lie on the boundary.
@@ -123,7 +170,7 @@ pub fn treat_flat_tets(
     context: &RunContext,
 ) -> Result<()> {
     let goal = FLAT_DEGREES.to_radians().sin();
-    let flat = tets_below(complex, context, goal);
+    let flat = tets_below(complex, context, &Scope::default(), goal);
     if flat.is_empty() {
         return Ok(());
     }
@@ -147,125 +194,146 @@ pub fn improve(
     if options.quality_passes == 0 {
         return Ok(figures);
     }
-    let mut driver = Driver::for_quality(options, context);
     let on_boundary = boundary_vertices(complex);
+    let mut improver =
+        Improver { options, context, on_boundary: &on_boundary, driver: Driver::for_quality(options, context) };
     let passes = options.quality_passes;
+    let mut scope = Scope::default();
     for repeat in 0..=options.quality_repeats {
         for pass in 0..passes {
             context.check()?;
-            let is_last = pass + 1 == passes;
             let pass_start = Instant::now();
-            improvement_pass(complex, sizes, options, context, &on_boundary, &mut driver, is_last)?;
-            let number = repeat * passes + pass + 1;
-            let counts = driver.take_counts();
+            let before = improver.driver.vertex_changes();
+            improver.pass(complex, sizes, &scope, pass + 1 == passes)?;
+            let after = improver.driver.vertex_changes();
+            let prefix = format!("quality.pass.{}", repeat * passes + pass + 1);
+            let counts = improver.driver.take_counts();
             for (name, value) in [
                 ("flips_tried", counts.tried as f64),
                 ("flips_accepted", counts.accepted as f64),
                 ("flips_lost", counts.lost as f64),
-                ("slivers", tets_above(complex, context, options.field_sliver_angle).len() as f64),
+                ("points_tried", (after.tried - before.tried) as f64),
+                ("points_accepted", (after.inserted - before.inserted) as f64),
+                ("points_removed", (after.removed - before.removed) as f64),
+                ("slivers", tets_above(complex, context, &scope, options.field_sliver_angle).len() as f64),
                 ("time", pass_start.elapsed().as_secs_f64()),
             ] {
-                figures.set(format!("quality.pass.{number}.{name}"), value);
+                figures.set(format!("{prefix}.{name}"), value);
             }
             if options.quality_statistics {
                 let rows: Vec<_> = complex.finite_tets().map(|t| complex.vertices(t)).collect();
                 let quality = crate::mesh::quality::tets_quality(complex.points(), &rows, context);
                 for (name, value) in quality.statistics().entries() {
-                    figures.set(format!("quality.pass.{number}.{name}"), *value);
+                    figures.set(format!("{prefix}.{name}"), *value);
                 }
             }
             context.progress("quality improvement", 0.65 + 0.3 * (pass + 1) as f64 / (passes + 1) as f64);
         }
-        improve_worst(complex, sizes, options, context, &on_boundary, &mut driver)?;
-        if tets_above(complex, context, options.repeat_angle).is_empty() {
+        improver.treat_worst(complex, sizes, &scope)?;
+        let left = tets_above(complex, context, &scope, options.repeat_angle);
+        if left.is_empty() {
             break;
         }
+        scope = Scope::around(complex, &left, REPEAT_RINGS);
     }
-    driver.record(&mut figures, "quality");
+    improver.driver.record(&mut figures, "quality");
     figures.set("time.quality", start.elapsed().as_secs_f64());
     Ok(figures)
 }
 
-fn improvement_pass(
-    complex: &mut TetComplex,
-    sizes: &mut Vec<f64>,
-    options: &Options,
-    context: &RunContext,
-    on_boundary: &[bool],
-    driver: &mut Driver,
-    is_last: bool,
-) -> Result<()> {
-    let criterion = if is_last { options.final_reconnection_criterion } else { options.quality_reconnection_criterion };
-    let objective = if criterion == 3 { Objective::Skew } else { Objective::EdgeWeight };
-    // 4-4 flips belong to the last pass, or to all where they are switched on.
-    let four = match (is_last || options.flip_44, options.flip_44_quality) {
-        (false, _) => FourFour::Off,
-        (true, false) => FourFour::First,
-        (true, true) => FourFour::Best,
-    };
-    if options.group_active_quality {
-        let mut active = tets_above(complex, context, options.quality_angle);
-        driver.reconnect(complex, &mut active, objective, four, 1)?;
-    } else {
-        driver.reconnect_ungrouped(complex, options.quality_angle, objective, four)?;
-    }
-    if options.delete_small_edges {
-        driver.collapse_small_edges(complex, sizes, options.small_edge_factor)?;
-    }
-    let masked = tets_above(complex, context, options.mask_angle);
-    let mut vertices = vertices_of(complex, &masked);
-    let rule = SmoothingRule {
-        target: if options.smoothing_mode == 2 { Target::Centroids } else { Target::OptimalPlacement },
-        coefficient: options.smoothing_coefficient,
-        acceptance: if options.smart_smoothing { Acceptance::Smart } else { Acceptance::Valid },
-    };
-    for _ in 0..options.smoothing_iterations {
-        vertices = driver.smooth(complex, vertices, on_boundary, &rule, options.boundary_smoothing_factor)?;
-    }
-    // The grade that the masking angle has; small angles of the same grade count as well.
-    let mask = BiasedSine::grade_of_angles(90.0, options.mask_angle);
-    let goal = mask.min(BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1));
-    let bad = tets_below(complex, context, goal);
-    driver.treat(complex, sizes, on_boundary, bad, &Treatment::topological(goal))?;
-    if options.delete_field_slivers {
-        for _ in 0..options.field_sliver_repeats {
-            let slivers = tets_above(complex, context, options.field_sliver_angle);
-            if slivers.is_empty()
-                || driver.treat(complex, sizes, on_boundary, slivers, &Treatment::everything(goal))? == 0
-            {
-                break;
-            }
-        }
-    }
-    Ok(())
+/// What the passes share.
+struct Improver<'a> {
+    options: &'a Options,
+    context: &'a RunContext,
+    on_boundary: &'a [bool],
+    driver: Driver,
 }
 
-fn improve_worst(
-    complex: &mut TetComplex,
-    sizes: &mut Vec<f64>,
-    options: &Options,
-    context: &RunContext,
-    on_boundary: &[bool],
-    driver: &mut Driver,
-) -> Result<()> {
-    let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
-    let treatment =
-        if options.delete_field_slivers { Treatment::everything(goal) } else { Treatment::topological(goal) };
-    driver.take_touched();
-    let mut touched: Option<Vec<bool>> = None;
-    for _ in 0..WORST_ROUNDS {
-        context.check()?;
-        let mut bad = tets_below(complex, context, goal);
-        // Where nothing has changed, what failed fails again.
-        if let Some(touched) = &touched {
-            bad.retain(|&tet| complex.vertices(tet).iter().any(|v| touched[v.index()]));
+impl Improver<'_> {
+    /// One pass over the tets of the scope.
+    fn pass(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>, scope: &Scope, is_last: bool) -> Result<()> {
+        let Self { options, context, .. } = *self;
+        self.reconnect(complex, scope, is_last)?;
+        if options.delete_small_edges {
+            let within = |row: &[VertexId; 4]| scope.holds(row);
+            self.driver.collapse_small_edges(complex, sizes, options.small_edge_factor, &within)?;
         }
-        if bad.is_empty() || driver.treat(complex, sizes, on_boundary, bad, &treatment)? == 0 {
-            break;
+        self.smooth(complex, scope)?;
+        // The grade that the masking angle has; small angles of the same grade count as well.
+        let mask = BiasedSine::grade_of_angles(90.0, options.mask_angle);
+        let goal = mask.min(BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1));
+        let bad = tets_below(complex, context, scope, goal);
+        self.driver.take_touched();
+        // Slivers are among these, or what becomes of them.
+        let mut near: Vec<VertexId> = bad.iter().flat_map(|&t| complex.vertices(t)).collect();
+        self.driver.treat(complex, sizes, self.on_boundary, bad, &Treatment::topological(goal))?;
+        if options.delete_field_slivers {
+            for _ in 0..options.field_sliver_repeats {
+                near.append(&mut self.driver.take_touched());
+                let around = Scope::of_vertices(complex, std::mem::take(&mut near));
+                let slivers = tets_above(complex, context, &around, options.field_sliver_angle);
+                // What was tried in vain is tried again only where something has changed beside it.
+                if slivers.is_empty()
+                    || self.driver.treat(complex, sizes, self.on_boundary, slivers, &Treatment::everything(goal))? == 0
+                {
+                    break;
+                }
+            }
         }
-        let mut marks = vec![false; complex.vertex_count()];
-        driver.take_touched().iter().filter(|v| !v.is_ghost()).for_each(|v| marks[v.index()] = true);
-        touched = Some(marks);
+        Ok(())
     }
-    Ok(())
+
+    fn reconnect(&mut self, complex: &mut TetComplex, scope: &Scope, is_last: bool) -> Result<()> {
+        let options = self.options;
+        let criterion =
+            if is_last { options.final_reconnection_criterion } else { options.quality_reconnection_criterion };
+        let objective = if criterion == 3 { Objective::Skew } else { Objective::EdgeWeight };
+        // 4-4 flips belong to the last pass, or to all where they are switched on.
+        let four = match (is_last || options.flip_44, options.flip_44_quality) {
+            (false, _) => FourFour::Off,
+            (true, false) => FourFour::First,
+            (true, true) => FourFour::Best,
+        };
+        if options.group_active_quality || scope.0.is_some() {
+            let mut active = tets_above(complex, self.context, scope, options.quality_angle);
+            self.driver.reconnect(complex, &mut active, objective, four, 1)
+        } else {
+            self.driver.reconnect_ungrouped(complex, options.quality_angle, objective, four)
+        }
+    }
+
+    fn smooth(&mut self, complex: &mut TetComplex, scope: &Scope) -> Result<()> {
+        let options = self.options;
+        let masked = tets_above(complex, self.context, scope, options.mask_angle);
+        let mut vertices = vertices_of(complex, &masked);
+        let rule = SmoothingRule {
+            target: if options.smoothing_mode == 2 { Target::Centroids } else { Target::OptimalPlacement },
+            coefficient: options.smoothing_coefficient,
+            acceptance: if options.smart_smoothing { Acceptance::Smart } else { Acceptance::Valid },
+        };
+        let factor = options.boundary_smoothing_factor;
+        for _ in 0..options.smoothing_iterations {
+            vertices = self.driver.smooth(complex, vertices, self.on_boundary, &rule, factor)?;
+        }
+        Ok(())
+    }
+
+    /// All operations at the worst tets of the scope, while they help.
+    fn treat_worst(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>, scope: &Scope) -> Result<()> {
+        let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
+        let everything = self.options.delete_field_slivers;
+        let treatment = if everything { Treatment::everything(goal) } else { Treatment::topological(goal) };
+        self.driver.take_touched();
+        let mut touched: Option<Scope> = None;
+        for _ in 0..WORST_ROUNDS {
+            self.context.check()?;
+            // Where nothing has changed, what failed fails again.
+            let bad = tets_below(complex, self.context, touched.as_ref().unwrap_or(scope), goal);
+            if bad.is_empty() || self.driver.treat(complex, sizes, self.on_boundary, bad, &treatment)? == 0 {
+                break;
+            }
+            touched = Some(Scope::of_vertices(complex, self.driver.take_touched()));
+        }
+        Ok(())
+    }
 }

@@ -3,7 +3,8 @@
 //! # Method
 //! 1. The size field of the host's sizing, the options' sources, source surfaces and region limits.
 //! 2. Refinement ([`super::refinement`]) where asked for; quality improvement ([`super::quality_improvement`]).
-//! 3. Candidates that never became vertices leave holes in the numbering; the last vertices move into them.
+//! 3. Between the two, vertices and tets are renumbered along a curve: improvement visits them in all orders.
+//! 4. Candidates that never became vertices leave holes in the numbering; the last vertices move into them.
 //!
 //! # Source
 //! [Drakopoulos2017] 4.3 steps 3 and 4.
@@ -53,6 +54,8 @@ pub fn generate_volume(
     let mut sizing = input.sizing.cloned().unwrap_or_default();
     sizing.sources.extend_from_slice(&options.size_sources);
     let mut figures = Statistics::default();
+    // The caller knows these by number, Steiner points of the recovery among them.
+    let recovered = complex.vertex_count();
     let mut options = options.clone();
     // A poor surface needs every flip there is.
     options.flip_44 |= largest_surface_angle(complex) > options.low_quality_surface_angle;
@@ -82,6 +85,10 @@ pub fn generate_volume(
     if options.count_slivers {
         let slivers = super::quality_improvement::sliver_count(complex, context);
         figures.set("refinement.slivers", slivers as f64);
+    }
+    if options.quality_passes > 0 {
+        let old_of = context.install(|| complex.renumber_along_curve(recovered))?;
+        sizes = old_of.into_iter().map(|old| sizes[old as usize]).collect();
     }
     figures.extend(&improve(complex, &mut sizes, options, context)?);
     drop(pinned);

@@ -6,6 +6,7 @@ pub mod fidelity;
 pub mod mixed_mesh;
 pub mod numbering;
 pub mod quality;
+pub mod renumbering;
 pub mod size_field;
 pub mod sizing;
 pub mod surface_mesh;

@@ -110,7 +110,8 @@ pub fn plan_contraction<S: TetStore + ?Sized, M: TetMeasure>(
     if outcome != Outcome::Accepted {
         return outcome;
     }
-    contract_claimed(store, vertex, target, measure, accept, scratch)
+    let old_grade = ball_grade(store, measure, &scratch.ball);
+    contract_claimed(store, [vertex, target], old_grade, measure, accept, scratch)
 }
 
 /// Plans the removal of `vertex` by the best contraction onto any neighbour.
@@ -133,17 +134,18 @@ pub fn plan_vertex_removal<S: TetStore + ?Sized, M: TetMeasure>(
             }
         }
     }
+    let old_grade = ball_grade(store, measure, &scratch.ball);
     let (mut best, mut bound, mut last) = (None, accept, Outcome::WouldInvert);
     for at in 0..scratch.ring.len() {
         let target = scratch.ring[at];
-        last = contract_claimed(store, vertex, target, measure, bound, scratch);
+        last = contract_claimed(store, [vertex, target], old_grade, measure, bound, scratch);
         if last == Outcome::Accepted {
             best = Some(target);
             bound = Accept::Above(scratch.plan.new_grade);
         }
     }
     match best {
-        Some(target) => contract_claimed(store, vertex, target, measure, accept, scratch),
+        Some(target) => contract_claimed(store, [vertex, target], old_grade, measure, accept, scratch),
         None => last,
     }
 }
@@ -188,20 +190,23 @@ pub fn touches_constraint<S: TetStore + ?Sized>(store: &S, tet: TetId, vertex: V
     })
 }
 
+/// The grade of the worst tet of a ball.
+fn ball_grade<S: TetStore + ?Sized, M: TetMeasure>(store: &S, measure: &M, ball: &[TetId]) -> f64 {
+    ball.iter().map(|&tet| grade_of(store, measure, store.vertices(tet))).fold(f64::INFINITY, f64::min)
+}
+
 fn contract_claimed<S: TetStore + ?Sized, M: TetMeasure>(
     store: &S,
-    vertex: VertexId,
-    target: VertexId,
+    [vertex, target]: [VertexId; 2],
+    old_grade: f64,
     measure: &M,
     accept: Accept,
     scratch: &mut FlipScratch,
 ) -> Outcome {
     let FlipScratch { plan, ball, .. } = scratch;
     plan.reset(store.label(ball[0]));
-    for &tet in ball.iter() {
-        plan.old_grade = plan.old_grade.min(grade_of(store, measure, store.vertices(tet)));
-        plan.old.push(tet);
-    }
+    plan.old_grade = old_grade;
+    plan.old.extend_from_slice(ball);
     let threshold = accept.threshold(plan.old_grade);
     for &tet in ball.iter() {
         let row = store.vertices(tet);

@@ -131,9 +131,9 @@ fn short_edges_collapse() {
     complex.set_point(b, place);
     let live = complex.live_count();
     let sizes = vec![1.0; complex.vertex_count()];
-    driver.collapse_small_edges(&mut complex, &sizes, 0.05).unwrap();
+    driver.collapse_small_edges(&mut complex, &sizes, 0.05, &|_| true).unwrap();
     assert_eq!(complex.live_count(), live);
-    driver.collapse_small_edges(&mut complex, &sizes, 0.25).unwrap();
+    driver.collapse_small_edges(&mut complex, &sizes, 0.25, &|_| true).unwrap();
     assert!(complex.live_count() < live);
     check(&complex, 64.0);
 }

@@ -85,6 +85,10 @@ impl TreatJob<'_> {
         StrictInside { on_boundary: self.on_boundary }
     }
 
+    fn is_fixed(&self, vertex: VertexId) -> bool {
+        self.on_boundary.get(vertex.index()).copied().unwrap_or(false)
+    }
+
     /// Commits the plan in the kit; true where it was carried out.
     fn commit<S: TetStore>(store: &mut S, kit: &mut Kit, outcome: Outcome) -> Result<bool> {
         let done = outcome == Outcome::Accepted && kit.reconnector.commit(store)?;
@@ -120,7 +124,7 @@ impl TreatJob<'_> {
     /// Moves each vertex to its best place; whether any moved.
     fn move_vertices<S: TetStore>(&self, store: &mut S, kit: &mut Kit, row: [VertexId; 4]) -> bool {
         let mut moved = false;
-        for vertex in row {
+        for vertex in row.into_iter().filter(|v| !self.is_fixed(*v)) {
             if kit.smoother.optimize(store, vertex, &self.measure()) == Outcome::Accepted {
                 kit.touched.push(vertex);
                 moved = true;
@@ -139,7 +143,7 @@ impl TreatJob<'_> {
         row: [VertexId; 4],
     ) -> Result<Outcome> {
         let mut lost = false;
-        for vertex in row {
+        for vertex in row.into_iter().filter(|v| !self.is_fixed(*v)) {
             let scratch = &mut kit.reconnector.scratch;
             let outcome = plan_vertex_removal(store, vertex, &self.measure(), Accept::Better, scratch);
             if Self::commit(store, kit, outcome)? {
@@ -150,6 +154,7 @@ impl TreatJob<'_> {
             lost |= outcome == Outcome::ClaimLost;
         }
         let Some(vertex) = kit.spare.pop() else { return Ok(Outcome::NotApplicable) };
+        kit.tally.tried += 1;
         let known = row.iter().filter_map(|v| self.sizes.get(v.index()).copied());
         let size = known.clone().sum::<f64>() / known.count().max(1) as f64;
         let grade = BiasedSine.grade(store.corners(row));

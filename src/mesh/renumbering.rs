@@ -1,0 +1,162 @@
+//! Renumbers vertices and tets so that neighbours in space are neighbours in memory.
+//!
+//! # Method
+//! 1. Vertices get their rank along a Hilbert curve; those before `first` keep their numbers, the others are numbered by
+//!    rank.
+//! 2. Tets are sorted by the smallest rank of their vertices, by counting; free slots go to the end.
+//! 3. Rows are moved array by array, so that one array at a time is held twice.
+//!
+//! # Source
+//! [AmentaChoiRote2003] for the curve; locality of unstructured meshes in general.
+//!
+//! # Invariants
+//! The mesh is the same up to numbers. The result does not depend on the thread count.
+//!
+//! # Cost
+//! About 0.2 s a million tets; 24 B a tet while it runs. Runs on the rayon pool it is called in.
+
+use rayon::prelude::*;
+
+use super::tet_complex::TetComplex;
+use crate::error::Result;
+use crate::geometry::spatial_sort::hilbert_order;
+use crate::index::{TetFace, TetId, VertexId};
+
+/// Rows per parallel chunk.
+const CHUNK: usize = 4096;
+
+impl TetComplex {
+    /// Renumbers all tets, and the vertices from `first` on; returns the old index of every vertex.
+    ///
+    /// # Errors
+    /// As [`hilbert_order`].
+    pub fn renumber_along_curve(&mut self, first: usize) -> Result<Vec<u32>> {
+        let along = hilbert_order(&self.points)?;
+        let mut rank = vec![0u32; along.len()];
+        along.iter().zip(0..).for_each(|(&vertex, place)| rank[vertex as usize] = place);
+        self.renumber_tets(&rank);
+        drop(rank);
+        let fixed = first.min(along.len());
+        let mut old_of: Vec<u32> = (0..fixed as u32).collect();
+        old_of.extend(along.into_iter().filter(|&vertex| vertex as usize >= fixed));
+        self.renumber_vertices(&old_of);
+        Ok(old_of)
+    }
+
+    /// Sorts the tets by the smallest rank of their vertices.
+    fn renumber_tets(&mut self, rank: &[u32]) {
+        let slots = self.tet_vertices.len();
+        let count = rank.len();
+        // Free slots come last.
+        let key = |row: &[VertexId; 4]| {
+            row.iter().filter(|v| !v.is_ghost()).map(|v| rank[v.index()] as usize).min().unwrap_or(count)
+        };
+        let mut starts = vec![0u32; count + 2];
+        self.tet_vertices.iter().for_each(|row| starts[key(row) + 1] += 1);
+        for place in 0..=count {
+            starts[place + 1] += starts[place];
+        }
+        let live = starts[count] as usize;
+        let mut old_of = vec![0u32; slots];
+        let mut new_of = vec![0u32; slots];
+        for (old, row) in self.tet_vertices.iter().enumerate() {
+            let next = &mut starts[key(row)];
+            (old_of[*next as usize], new_of[old]) = (old as u32, *next);
+            *next += 1;
+        }
+        drop(starts);
+        let moved = |side: TetFace| {
+            if side == TetFace::NONE {
+                side
+            } else {
+                TetFace::new(TetId::from_index(new_of[side.tet().index()] as usize), side.face())
+            }
+        };
+        self.tet_vertices = gathered(&self.tet_vertices, &old_of, |row| row);
+        self.tet_neighbors = gathered(&self.tet_neighbors, &old_of, |row| row.map(moved));
+        self.tet_flags = gathered(&self.tet_flags, &old_of, |flags| flags);
+        self.tet_labels = gathered(&self.tet_labels, &old_of, |label| label);
+        for tet in self.vertex_tet.iter_mut().filter(|tet| **tet != TetId::NONE) {
+            *tet = TetId::from_index(new_of[tet.index()] as usize);
+        }
+        self.free_slots.clear();
+        self.free_slots.extend((live..slots).rev().map(TetId::from_index));
+    }
+
+    /// Gives the vertex `old_of[i]` the number `i`.
+    fn renumber_vertices(&mut self, old_of: &[u32]) {
+        let mut new_of = vec![VertexId(0); old_of.len()];
+        old_of.iter().enumerate().for_each(|(new, &old)| new_of[old as usize] = VertexId::from_index(new));
+        self.tet_vertices.par_iter_mut().with_min_len(CHUNK).for_each(|row| {
+            *row = row.map(|v| if v.is_ghost() { v } else { new_of[v.index()] });
+        });
+        self.points = gathered(&self.points, old_of, |point| point);
+        self.vertex_tet = gathered(&self.vertex_tet, old_of, |tet| tet);
+    }
+}
+
+/// Row `i` from row `old_of[i]`.
+fn gathered<T: Copy + Send + Sync>(rows: &[T], old_of: &[u32], change: impl Fn(T) -> T + Sync) -> Vec<T> {
+    old_of.par_iter().with_min_len(CHUNK).map(|&old| change(rows[old as usize])).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::index::Label;
+    use crate::mesh::tet_store::TetStore;
+    use glam::DVec3;
+
+    /// A row of `count` tets, each glued to the next, with the odd slots of the front freed.
+    fn strip(count: usize) -> TetComplex {
+        let points: Vec<DVec3> = (0..count + 3)
+            .map(|i| DVec3::new((i * 7 % 5) as f64, (i * i % 11) as f64, if i % 2 == 0 { 0.0 } else { 3.0 }))
+            .collect();
+        let mut complex = TetComplex::with_points(points).unwrap();
+        for i in 0..count {
+            let row = [i, i + 1, i + 2, i + 3].map(VertexId::from_index);
+            let row = if i % 2 == 0 { row } else { [row[1], row[0], row[2], row[3]] };
+            let tet = complex.create_tet(row, Label(1 + i as u16 % 3)).unwrap();
+            complex.set_flags(tet, complex.flags(tet).with_user_bit(1, i % 4 == 0));
+        }
+        complex.pair_faces().unwrap();
+        complex.rebuild_vertex_tets();
+        complex
+    }
+
+    /// What of a mesh does not depend on numbers: the points of every tet with its label and mark, sorted.
+    fn contents(complex: &TetComplex) -> Vec<(Vec<[u64; 3]>, Label, bool)> {
+        let mut rows: Vec<_> = complex
+            .finite_tets()
+            .map(|tet| {
+                let points = complex.points_of(tet).map(|p| p.to_array().map(f64::to_bits)).to_vec();
+                (points, complex.label(tet), complex.flags(tet).has_user_bit(1))
+            })
+            .collect();
+        rows.sort();
+        rows
+    }
+
+    #[test]
+    fn the_mesh_stays_the_same_up_to_numbers() {
+        let mut complex = strip(60);
+        let removed = TetId::from_index(20);
+        for face in 0..4 {
+            let other = complex.neighbor(TetFace::new(removed, face));
+            if other != TetFace::NONE {
+                complex.tet_neighbors[other.tet().index()][other.face()] = TetFace::NONE;
+            }
+        }
+        complex.delete_tet(removed);
+        complex.rebuild_vertex_tets();
+        complex.check_invariants().unwrap();
+        let (before, points) = (contents(&complex), complex.points().to_vec());
+        let old_of = complex.renumber_along_curve(10).unwrap();
+        complex.check_invariants().unwrap();
+        assert_eq!(contents(&complex), before);
+        assert!((0..10).all(|v| old_of[v] == v as u32));
+        assert!(old_of.iter().zip(complex.points()).all(|(&old, point)| *point == points[old as usize]));
+        assert!(old_of[10..].iter().zip(10..).any(|(&old, new)| old != new), "something has moved");
+        assert!(!complex.is_live(TetId::from_index(59)) && complex.free_slot_count() == 1);
+    }
+}
