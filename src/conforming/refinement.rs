@@ -135,6 +135,8 @@ pub fn refine(
     let mut unused: Vec<VertexId> = Vec::new();
     let mut total = Round::default();
     let mut rounds = 0;
+    let known = complex.vertex_count();
+    let mut next_renumbering = SMALLEST_RENUMBERING.max(GROWTH_OF_RENUMBERING * complex.live_count());
     while rounds < options.maximum_passes {
         context.check()?;
         let room = limit.saturating_sub(complex.live_count()) / TETS_PER_POINT;
@@ -156,6 +158,19 @@ pub fn refine(
         if round.inserted < options.minimum_points.max(1) {
             break;
         }
+        if complex.live_count() > next_renumbering {
+            next_renumbering = GROWTH_OF_RENUMBERING * complex.live_count();
+            let renumbering = context.install(|| complex.renumber_along_curve(known))?;
+            *sizes = renumbering.of_vertices(sizes);
+            active.iter_mut().for_each(|tet| *tet = renumbering.tet(*tet));
+            let mut new_of = vec![VertexId(0); sizes.len()];
+            renumbering
+                .old_of_vertex
+                .iter()
+                .enumerate()
+                .for_each(|(new, &old)| new_of[old as usize] = VertexId::from_index(new));
+            unused.iter_mut().for_each(|vertex| *vertex = new_of[vertex.index()]);
+        }
     }
     clear_marks(complex);
     driver.record(&mut figures, "refinement");
@@ -169,6 +184,12 @@ pub fn refine(
     figures.set("time.refinement", start.elapsed().as_secs_f64());
     Ok(figures)
 }
+
+/// Meshes are renumbered when they have grown by this factor: what a round creates lies where the slots of earlier rounds
+/// became free.
+const GROWTH_OF_RENUMBERING: usize = 2;
+/// Smaller meshes lie in the cache of the processor in any order.
+const SMALLEST_RENUMBERING: usize = 200_000;
 
 /// Rounds listed one by one in the statistics.
 const LISTED_ROUNDS: usize = 200;

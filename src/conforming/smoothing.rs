@@ -36,6 +36,8 @@ use crate::mesh::topology::BallWalk;
 const EQUILATERAL_HEIGHT: f64 = 0.816_496_580_927_726;
 /// Most times a coefficient is halved.
 const HALVINGS: usize = 3;
+/// Factor by which a smart move betters the worst tet. Smaller moves go on for long and change nothing worth having.
+const LEAST_GAIN: f64 = 1.005;
 /// Most steps of a search; it usually stops before.
 const SEARCH_STEPS: usize = 12;
 /// Tets whose grade is within this factor of the worst pull at a search step.
@@ -280,7 +282,7 @@ impl Smoother {
         let at = store.point(vertex);
         let bound = match rule.acceptance {
             Acceptance::Valid => 0.0,
-            Acceptance::Smart => self.star.put_worst_first(measure, at),
+            Acceptance::Smart => self.star.put_worst_first(measure, at) * LEAST_GAIN,
         };
         let other = match rule.target {
             Target::OptimalPlacement => Target::Centroids,

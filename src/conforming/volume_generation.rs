@@ -87,8 +87,8 @@ pub fn generate_volume(
         figures.set("refinement.slivers", slivers as f64);
     }
     if options.quality_passes > 0 {
-        let old_of = context.install(|| complex.renumber_along_curve(recovered))?;
-        sizes = old_of.into_iter().map(|old| sizes[old as usize]).collect();
+        let renumbering = context.install(|| complex.renumber_along_curve(recovered))?;
+        sizes = renumbering.of_vertices(&sizes);
     }
     figures.extend(&improve(complex, &mut sizes, options, context)?);
     drop(pinned);

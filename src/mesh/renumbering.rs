@@ -25,26 +25,47 @@ use crate::index::{TetFace, TetId, VertexId};
 /// Rows per parallel chunk.
 const CHUNK: usize = 4096;
 
+/// What a renumbering did.
+#[derive(Debug, Clone, Default)]
+pub struct Renumbering {
+    /// The old index of every vertex.
+    pub old_of_vertex: Vec<u32>,
+    /// The new index of every tet slot.
+    pub new_of_tet: Vec<u32>,
+}
+
+impl Renumbering {
+    /// One entry per vertex, in the new order.
+    pub fn of_vertices<T: Copy>(&self, old: &[T]) -> Vec<T> {
+        self.old_of_vertex.iter().map(|&vertex| old[vertex as usize]).collect()
+    }
+
+    /// The new id of a tet.
+    pub fn tet(&self, old: TetId) -> TetId {
+        TetId::from_index(self.new_of_tet[old.index()] as usize)
+    }
+}
+
 impl TetComplex {
-    /// Renumbers all tets, and the vertices from `first` on; returns the old index of every vertex.
+    /// Renumbers all tets, and the vertices from `first` on.
     ///
     /// # Errors
     /// As [`hilbert_order`].
-    pub fn renumber_along_curve(&mut self, first: usize) -> Result<Vec<u32>> {
+    pub fn renumber_along_curve(&mut self, first: usize) -> Result<Renumbering> {
         let along = hilbert_order(&self.points)?;
         let mut rank = vec![0u32; along.len()];
         along.iter().zip(0..).for_each(|(&vertex, place)| rank[vertex as usize] = place);
-        self.renumber_tets(&rank);
+        let new_of_tet = self.renumber_tets(&rank);
         drop(rank);
         let fixed = first.min(along.len());
         let mut old_of: Vec<u32> = (0..fixed as u32).collect();
         old_of.extend(along.into_iter().filter(|&vertex| vertex as usize >= fixed));
         self.renumber_vertices(&old_of);
-        Ok(old_of)
+        Ok(Renumbering { old_of_vertex: old_of, new_of_tet })
     }
 
-    /// Sorts the tets by the smallest rank of their vertices.
-    fn renumber_tets(&mut self, rank: &[u32]) {
+    /// Sorts the tets by the smallest rank of their vertices; returns their new numbers.
+    fn renumber_tets(&mut self, rank: &[u32]) -> Vec<u32> {
         let slots = self.tet_vertices.len();
         let count = rank.len();
         // Free slots come last.
@@ -81,6 +102,7 @@ impl TetComplex {
         }
         self.free_slots.clear();
         self.free_slots.extend((live..slots).rev().map(TetId::from_index));
+        new_of
     }
 
     /// Gives the vertex `old_of[i]` the number `i`.
@@ -115,7 +137,6 @@ mod tests {
         let mut complex = TetComplex::with_points(points).unwrap();
         for i in 0..count {
             let row = [i, i + 1, i + 2, i + 3].map(VertexId::from_index);
-            let row = if i % 2 == 0 { row } else { [row[1], row[0], row[2], row[3]] };
             let tet = complex.create_tet(row, Label(1 + i as u16 % 3)).unwrap();
             complex.set_flags(tet, complex.flags(tet).with_user_bit(1, i % 4 == 0));
         }
@@ -151,7 +172,7 @@ mod tests {
         complex.rebuild_vertex_tets();
         complex.check_invariants().unwrap();
         let (before, points) = (contents(&complex), complex.points().to_vec());
-        let old_of = complex.renumber_along_curve(10).unwrap();
+        let Renumbering { old_of_vertex: old_of, .. } = complex.renumber_along_curve(10).unwrap();
         complex.check_invariants().unwrap();
         assert_eq!(contents(&complex), before);
         assert!((0..10).all(|v| old_of[v] == v as u32));
