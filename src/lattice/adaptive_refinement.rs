@@ -5,8 +5,8 @@
 //! 2. Where labels lack fidelity or components are lost, mark leaves and refine ([`super::subdivision_criteria`]).
 //! 3. Otherwise relabel the candidate mesh ([`super::element_labels`]) and count again; refine where that costs the
 //!    fidelity. At the finest level the relabelling spares what a label needs instead.
-//! 4. Where surfaces are smoothed or checked, pinches are relabelled ([`super::interface_topology`]); with the check what
-//!    still pinches is refined a few times, then carved ([`super::interface_carving`]).
+//! 4. Where surfaces are smoothed or checked, pinches are relabelled ([`super::interface_topology`]) and what still pinches
+//!    is carved ([`super::interface_carving`]), with the check after a few rounds of refinement.
 //!
 //! # Source
 //! [Drakopoulos2017] 2.3.3.
@@ -41,6 +41,9 @@ const PROGRESS: (f64, f64) = (0.1, 0.6);
 /// Rounds of refinement for the sake of topology: a pinch that comes from the image's own shape is gone after two or three
 /// (edges of 4 voxels become half a voxel), one that the lattice makes anew each time never goes.
 const TOPOLOGY_ROUNDS: u32 = 3;
+
+/// Rounds of carving: a group that may not be filled at first can be once another one has joined or parted its pieces.
+const CARVING_ROUNDS: u32 = 3;
 
 /// What refinement works with.
 #[derive(Clone, Copy)]
@@ -138,6 +141,7 @@ impl Rounds<'_> {
                     } else if self.smooths {
                         let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len())?;
                         self.relabel_pinches(lattice, &mut elements, &neighbors, &deficit)?;
+                        self.carve_pinches(lattice, &mut elements, neighbors)?;
                     }
                     found = self.count(lattice, &elements)?;
                     deficit = self.deficit(&found);
@@ -237,9 +241,7 @@ impl Rounds<'_> {
         self.relabel_pinches(lattice, elements, &neighbors, before)?;
         let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
         let pinched = topology.pinched(&elements.labels);
-        let regions = regions_of(elements, &neighbors);
-        let image = Components::new(self.input.image, Connectivity::Face, Members::Foreground);
-        let surplus = surplus_of(&regions, &image, labels);
+        let surplus = surplus_of(&regions_of(elements, &neighbors), &self.face_components(), labels);
         let mut marked = vec![false; lattice.tets.len()];
         if limit.rounds_left > 0 {
             let mut mark = |e: u32| {
@@ -258,14 +260,42 @@ impl Rounds<'_> {
         if marked.contains(&true) {
             return Ok(marked);
         }
-        self.report.set("topology.carved_vertices", pinched.len() as f64);
-        let joinable = joinable_regions(elements, &regions, surplus);
-        let is_carved = !pinched.is_empty() && carve(lattice, elements, &neighbors, &pinched, &joinable) > 0;
+        let neighbors = self.carve_pinches(lattice, elements, neighbors)?;
         let vertices = lattice.vertices.positions.len();
-        let neighbors = if is_carved { neighbors_of(&elements.tets, vertices)? } else { neighbors };
         self.tell_topology(lattice, elements, &InterfaceTopology::new(&elements.tets, &neighbors, vertices));
-        self.tell_regions(&surplus_of(&regions_of(elements, &neighbors), &image, labels));
+        self.tell_regions(&surplus_of(&regions_of(elements, &neighbors), &self.face_components(), labels));
         Ok(marked)
+    }
+
+    /// Components of the image through faces: what a label may have at most.
+    fn face_components(&self) -> Components {
+        Components::new(self.input.image, Connectivity::Face, Members::Foreground)
+    }
+
+    /// Carves what still pinches; returns the neighbours afterwards.
+    fn carve_pinches(
+        &mut self,
+        lattice: &mut RedGreenLattice,
+        elements: &mut Elements,
+        mut neighbors: Vec<[u32; 4]>,
+    ) -> Result<Vec<[u32; 4]>> {
+        for _ in 0..CARVING_ROUNDS {
+            let vertices = lattice.vertices.positions.len();
+            let pinched = InterfaceTopology::new(&elements.tets, &neighbors, vertices).pinched(&elements.labels);
+            if pinched.is_empty() {
+                break;
+            }
+            let regions = regions_of(elements, &neighbors);
+            let surplus = surplus_of(&regions, &self.face_components(), self.input.values.len());
+            let joinable = joinable_regions(elements, &regions, surplus);
+            let carved = carve(lattice, elements, &neighbors, &pinched, &joinable);
+            self.report.add("topology.carved_vertices", carved as f64);
+            if carved == 0 {
+                break;
+            }
+            neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len())?;
+        }
+        Ok(neighbors)
     }
 
     fn tell_regions(&self, surplus: &[i64]) {

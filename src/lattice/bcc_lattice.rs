@@ -267,6 +267,15 @@ impl<'a> Field<'a> {
         (f64::from(self.distance[offset]) > reach).then_some(label)
     }
 
+    /// Radius around the centroid of a background tet within which a labelled voxel's centre makes it worth keeping: of a
+    /// tet that shares a vertex with a labelled one, so that what surrounds a thin wall's vertices is there and a pinch can
+    /// be seen and filled. The label of a small element comes from voxels within half a diagonal of its centroid, and two
+    /// centroids at a vertex are at most two radii apart. Larger elements follow no wall.
+    pub fn reach_of_balls(&self, edge: f64) -> f64 {
+        let around_wall = 2.0 * TET_RADIUS * edge.min(SMALL_EDGE * self.voxel_size()) + 0.5 * self.diagonal;
+        (TET_RADIUS * edge).max(around_wall)
+    }
+
     /// Whether a ball can hold the centre of a labelled voxel.
     #[inline]
     pub fn may_hold_labels(&self, local: DVec3, radius: f64) -> bool {

@@ -27,12 +27,12 @@
 //! vertices are closed. Elements cut keep their place in the order.
 //!
 //! # Limits
-//! A pinched vertex on the outside of the lattice is not filled; it stays and is reported.
+//! A vertex on the outside of the lattice whose elements do not form a half ball can only be filled with background.
+//! Where middles of edges are no lattice points (at the finest level) a pinched vertex stays, and is reported.
 
 use glam::IVec3;
 
 use crate::index::Label;
-use crate::lattice::face_adjacency::OUTSIDE;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 
@@ -58,9 +58,8 @@ pub fn carve(
     let mut labels = Vec::new();
     for group in groups_of(&topology, pinched, &elements.tets) {
         let around = topology.elements_around(&group);
-        let is_open = around.iter().any(|e| open_at(&elements.tets[*e as usize], &neighbors[*e as usize], &group));
         let is_even = around.iter().all(|e| has_middles(lattice, &elements.tets[*e as usize]));
-        if is_open || !is_even {
+        if !is_even {
             continue;
         }
         let Some(label) = label_for(&topology, &group, &elements.labels, regions) else { continue };
@@ -104,11 +103,6 @@ fn groups_of(topology: &InterfaceTopology, pinched: &[u32], tets: &[[u32; 4]]) -
     groups
 }
 
-/// Whether a face at a vertex of the group has nothing behind it.
-fn open_at(tet: &[u32; 4], behind: &[u32; 4], group: &[u32]) -> bool {
-    (0..4).any(|f| behind[f] == OUTSIDE && (0..4).any(|v| v != f && group.binary_search(&tet[v]).is_ok()))
-}
-
 /// Whether the middles of all edges are lattice points.
 fn has_middles(lattice: &RedGreenLattice, tet: &[u32; 4]) -> bool {
     let positions = tet.map(|v| lattice.vertices.positions[v as usize]);
@@ -116,11 +110,19 @@ fn has_middles(lattice: &RedGreenLattice, tet: &[u32; 4]) -> bool {
 }
 
 /// The label that fills a group; `None` where each would join components of the image.
+///
+/// Where the lattice itself does not end in a disc around a vertex, only the background is manifold as a filling.
 fn label_for(topology: &InterfaceTopology, group: &[u32], labels: &[Label], regions: &Regions) -> Option<Label> {
     let around = topology.elements_around(group);
     let mut candidates: Vec<Label> = around.iter().map(|e| labels[*e as usize]).collect();
+    if group.iter().any(|v| topology.is_open(*v)) {
+        candidates.push(Label::BACKGROUND);
+    }
     candidates.sort_unstable();
     candidates.dedup();
+    if !group.iter().all(|v| topology.is_lattice_ball(*v, labels)) {
+        candidates = vec![Label::BACKGROUND];
+    }
     let joins_too_much = |label: Label| {
         let mut pieces: Vec<u32> =
             around.iter().filter(|e| labels[**e as usize] == label).map(|e| regions.of_element[*e as usize]).collect();

@@ -88,8 +88,17 @@ impl<'a> InterfaceTopology<'a> {
         around
     }
 
+    /// Whether the elements around a vertex, whatever their labels, form a ball or a half ball: they hang together through
+    /// faces, and what they show on a small sphere is the whole sphere or a disc (Euler number 1).
+    pub fn is_lattice_ball(&self, vertex: u32, labels: &[Label]) -> bool {
+        if !self.is_open(vertex) {
+            return true;
+        }
+        self.shape_on_sphere(vertex, self.ball(vertex)) == (1, 1) && self.groups(vertex, |_| true, labels).len() == 1
+    }
+
     /// Whether a face at the vertex has nothing behind it.
-    fn is_open(&self, vertex: u32) -> bool {
+    pub fn is_open(&self, vertex: u32) -> bool {
         self.ball(vertex).iter().any(|e| self.faces_at(*e, vertex).any(|(_, near)| near == OUTSIDE))
     }
 
@@ -119,13 +128,37 @@ impl<'a> InterfaceTopology<'a> {
         own.max(1) + self.other_groups(vertex, label, labels).max(1) - 2
     }
 
-    /// Groups of the elements not of `label`; the outside joins all elements at open faces.
+    /// Groups of what is not of `label` around a vertex, the outside with it.
     fn other_groups(&self, vertex: u32, label: Label, labels: &[Label]) -> i64 {
-        let groups = self.groups(vertex, |e| e != label, labels);
-        let open = |g: &Vec<u32>| g.iter().any(|e| self.faces_at(*e, vertex).any(|(_, near)| near == OUTSIDE));
-        let at_outside = groups.iter().filter(|g| open(g)).count() as i64;
-        let outside = i64::from(self.is_open(vertex));
-        groups.len() as i64 + outside - at_outside
+        if !self.is_open(vertex) {
+            return self.groups(vertex, |e| e != label, labels).len() as i64;
+        }
+        // Behind a thin wall the outside itself has parts. Of a closed set on a sphere, Alexander's duality gives the parts
+        // of the rest: one more than its loops, which are its parts minus its Euler number.
+        let own: Vec<u32> = self.ball(vertex).iter().copied().filter(|e| labels[*e as usize] == label).collect();
+        let (parts, euler) = self.shape_on_sphere(vertex, &own);
+        1 + parts - euler
+    }
+
+    /// What elements show on a small sphere around a vertex of theirs: parts, connected also through corners, and Euler number.
+    fn shape_on_sphere(&self, vertex: u32, elements: &[u32]) -> (i64, i64) {
+        let (mut corners, mut sides) = (Vec::new(), Vec::new());
+        let mut parts: Vec<Vec<u32>> = Vec::new();
+        for element in elements {
+            let rest: Vec<u32> = self.tets[*element as usize].into_iter().filter(|v| *v != vertex).collect();
+            sides.extend([[0, 1], [1, 2], [0, 2]].map(|[a, b]| [rest[a].min(rest[b]), rest[a].max(rest[b])]));
+            corners.extend_from_slice(&rest);
+            let (mut touched, apart): (Vec<Vec<u32>>, Vec<Vec<u32>>) =
+                parts.into_iter().partition(|part| part.iter().any(|v| rest.contains(v)));
+            touched.push(rest);
+            parts = apart;
+            parts.push(touched.concat());
+        }
+        corners.sort_unstable();
+        corners.dedup();
+        sides.sort_unstable();
+        sides.dedup();
+        (parts.len() as i64, corners.len() as i64 - sides.len() as i64 + elements.len() as i64)
     }
 
     /// Groups of the elements around a vertex whose label passes, connected through faces at the vertex.

@@ -28,7 +28,7 @@ use rayon::prelude::*;
 use crate::context::RunContext;
 use crate::error::{Error, Result};
 use crate::index::Label;
-use crate::lattice::bcc_lattice::{Field, LatticeFrame, LatticeVertices, TET_RADIUS, coarsest_tets};
+use crate::lattice::bcc_lattice::{Field, LatticeFrame, LatticeVertices, coarsest_tets};
 use crate::lattice::red_green_tables::{RED_CHILDREN, green_children};
 use crate::mesh::numbering::TET_EDGES;
 
@@ -234,7 +234,8 @@ impl<'a> RedGreenLattice<'a> {
     }
 
     fn push_children(&self, tet: usize, middles: &[u32; 6], tets: &mut Vec<[u32; 4]>) {
-        let radius = TET_RADIUS * self.frame.edge_length(u32::from(self.levels[tet]) + 1);
+        let edge = self.frame.edge_length(u32::from(self.levels[tet]) + 1);
+        let radius = self.field.reach_of_balls(edge);
         for child in RED_CHILDREN {
             let child = child.map(|v| local_vertex(v, &self.tets[tet], middles));
             if self.field.may_hold_labels(self.centroid(&child), radius) {

@@ -83,11 +83,25 @@ fn a_shell_of_one_and_a_half_voxels_stays_in_one_piece_with_its_volume() {
     });
     let result = mesh(&shell, &[]);
     assert_eq!((pieces(&result, 1), pieces(&result, 2)), (1, 1));
+    assert_eq!(pinched(&result), 0);
     for label in 1..3u16 {
         let voxels = shell.voxels().iter().filter(|l| l.0 == label).count() as f64;
         let error = (volume_of(&result, i32::from(label)) / voxels - 1.0).abs();
         assert!(error < 0.02, "label {label}: {error}");
     }
+}
+
+#[test]
+fn a_hollow_shell_neither_pinches_nor_has_holes() {
+    // Background on both sides of a wall of one element: the outside of the lattice has two parts at a vertex.
+    let shell = image(28, |p| u16::from((10.5..12.0).contains(&p.distance(DVec3::new(13.3, 13.1, 13.6)))));
+    let result = mesh(&shell, &[("fidelity", "0.9")]);
+    assert_eq!((pieces(&result, 1), pinched(&result)), (1, 0));
+    // Two closed spheres: V - E + F = 4, and 2 E = 3 F.
+    let mut vertices: Vec<_> = result.boundary.triangles.as_flattened().to_vec();
+    vertices.sort_unstable();
+    vertices.dedup();
+    assert_eq!(2 * vertices.len(), result.boundary.triangles.len() + 8);
 }
 
 #[test]
