@@ -87,7 +87,8 @@ pub fn refine(
         let limit = options.max_surface_triangles_on_pyramid;
         cubes = report.timed("mixed_elements", || mixed_elements::find_cubes(&lattice, &elements, limit))?;
     }
-    Ok(report.timed("compaction", || mixed_elements::compact(&lattice, &elements, &cubes)))
+    let smooths = options.smoothing_iterations > 0;
+    Ok(report.timed("compaction", || mixed_elements::compact(&lattice, &elements, &cubes, smooths)))
 }
 
 /// How far refinement for the sake of topology may go.

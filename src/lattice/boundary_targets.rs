@@ -109,7 +109,7 @@ impl SourcePoints {
 }
 
 /// What lies behind a face without an element: the background, or the end of the image.
-pub fn outside_of([a, b, c]: [DVec3; 3], surface: &SubvoxelSurface) -> Side {
+fn outside_of([a, b, c]: [DVec3; 3], surface: &SubvoxelSurface) -> Side {
     let normal = (b - a).cross(c - a);
     let size = normal.length().sqrt();
     let center = (a + b + c) / 3.0;

@@ -11,6 +11,7 @@
 use glam::DVec3;
 
 use crate::index::{Label, VertexId};
+use crate::lattice::scaffold::Scaffold;
 
 /// Elements of the lattice with their labels, local frame.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -33,6 +34,8 @@ pub struct CandidateMesh {
     pub cubes: Vec<MergeableCube>,
     /// Vertices at the caller's fixed points.
     pub fixed: Vec<VertexId>,
+    /// Background elements around the mesh, for smoothing; empty before and after.
+    pub scaffold: Scaffold,
 }
 
 /// A lattice vertex whose 24 tets can become a hexahedron with pyramids.

@@ -16,6 +16,7 @@
 use glam::DVec3;
 
 use crate::geometry::tetrahedron::{edge_vectors, face_normals, volume6};
+use crate::lattice::scaffold::SCAFFOLD_WEIGHT;
 
 /// The largest angle counts this much less than the smallest: 15 and 155 degrees score alike.
 const LARGE_ANGLE_WEIGHT: f64 = 0.6;
@@ -76,14 +77,53 @@ fn angle_of(cosine: f64) -> f64 {
 /// A score to be reached, as the cosines that may not be passed.
 #[derive(Debug, Clone, Copy)]
 pub struct Threshold {
+    own: Limits,
+    scaffold: Limits,
+}
+
+/// Cosines that the angles of a tet may not pass.
+#[derive(Debug, Clone, Copy)]
+struct Limits {
     acute: f64,
     obtuse: f64,
     inverted: f64,
 }
 
+/// What a tet is part of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// The mesh.
+    Mesh,
+    /// The scaffold around it, whose shape counts less.
+    Scaffold,
+}
+
+impl Part {
+    /// A score of a tet of this part as the rest is compared with it.
+    #[inline]
+    fn weighted(self, score: f64) -> f64 {
+        if self == Self::Scaffold && score > 0.0 { SCAFFOLD_WEIGHT * score } else { score }
+    }
+}
+
 impl Threshold {
     /// The threshold of a score in degrees.
     pub fn of(score: f64) -> Self {
+        let weight = if score > 0.0 { SCAFFOLD_WEIGHT } else { 1.0 };
+        Self { own: Limits::of(score), scaffold: Limits::of(score / weight) }
+    }
+
+    #[inline]
+    fn limits(&self, part: Part) -> &Limits {
+        match part {
+            Part::Mesh => &self.own,
+            Part::Scaffold => &self.scaffold,
+        }
+    }
+}
+
+impl Limits {
+    fn of(score: f64) -> Self {
         if score <= 0.0 {
             // Only tets that are inverted further fail.
             return Self { acute: f64::INFINITY, obtuse: f64::INFINITY, inverted: score };
@@ -143,7 +183,19 @@ pub fn tet_score(corners: [DVec3; 4]) -> f64 {
 /// Whether the score of a tet is below a threshold; cheaper than the score.
 #[inline]
 pub fn tet_fails(corners: [DVec3; 4], threshold: &Threshold) -> bool {
-    threshold.is_failed_by(&worst_of_tet(corners))
+    part_fails(corners, Part::Mesh, threshold)
+}
+
+/// The score of a tet of the mesh or the scaffold.
+#[inline]
+pub fn part_score(corners: [DVec3; 4], part: Part) -> f64 {
+    part.weighted(tet_score(corners))
+}
+
+/// Whether [`part_score`] is below a threshold; cheaper than the score.
+#[inline]
+pub fn part_fails(corners: [DVec3; 4], part: Part, threshold: &Threshold) -> bool {
+    threshold.limits(part).is_failed_by(&worst_of_tet(corners))
 }
 
 /// The face of a tet that stays when the opposite vertex moves.
@@ -177,17 +229,33 @@ impl Opposite {
 #[derive(Debug, Clone, Default)]
 pub struct Ball {
     faces: Vec<Opposite>,
+    scaffold: Vec<Opposite>,
 }
 
 impl Ball {
     /// Takes the faces opposite to a vertex, outward.
-    pub fn fill(&mut self, faces: impl Iterator<Item = [DVec3; 3]>) {
+    pub fn fill(&mut self, faces: impl Iterator<Item = ([DVec3; 3], Part)>) {
         self.faces.clear();
-        self.faces.extend(faces.map(|corners| {
+        self.scaffold.clear();
+        for (corners, part) in faces {
             let [a, b, c] = corners;
             let normal = (b - a).cross(c - a);
-            Opposite { corners, normal, scale: normal.length_squared().sqrt().recip() }
-        }));
+            let face = Opposite { corners, normal, scale: normal.length_squared().sqrt().recip() };
+            match part {
+                Part::Mesh => self.faces.push(face),
+                Part::Scaffold => self.scaffold.push(face),
+            }
+        }
+    }
+
+    /// The lowest score of the scaffold's tets with the vertex at a place.
+    #[inline]
+    fn scaffold_score(&self, place: DVec3) -> f64 {
+        if self.scaffold.is_empty() {
+            return f64::INFINITY;
+        }
+        let lowest = self.scaffold.iter().fold(Worst::NONE, |lowest, face| lowest.join(face.worst_with(place)));
+        Part::Scaffold.weighted(lowest.score())
     }
 
     /// The lowest score with the vertex at a place.
@@ -206,7 +274,8 @@ impl Ball {
         if first > 0 {
             self.faces.swap(0, first);
         }
-        if self.faces.is_empty() { f64::INFINITY } else { lowest.score() }
+        let own = if self.faces.is_empty() { f64::INFINITY } else { lowest.score() };
+        own.min(self.scaffold_score(place))
     }
 
     /// The lowest score with the vertex at a place, where no tet fails the threshold.
@@ -215,13 +284,26 @@ impl Ball {
         let mut lowest = Worst::NONE;
         for at in 0..self.faces.len() {
             let worst = self.faces[at].worst_with(place);
-            if threshold.is_failed_by(&worst) {
+            if threshold.own.is_failed_by(&worst) {
                 self.faces.swap(0, at);
                 return None;
             }
             lowest = lowest.join(worst);
         }
-        Some(if self.faces.is_empty() { f64::INFINITY } else { lowest.score() })
+        let own = if self.faces.is_empty() { f64::INFINITY } else { lowest.score() };
+        if self.scaffold.is_empty() {
+            return Some(own);
+        }
+        let mut lowest = Worst::NONE;
+        for at in 0..self.scaffold.len() {
+            let worst = self.scaffold[at].worst_with(place);
+            if threshold.scaffold.is_failed_by(&worst) {
+                self.scaffold.swap(0, at);
+                return None;
+            }
+            lowest = lowest.join(worst);
+        }
+        Some(own.min(Part::Scaffold.weighted(lowest.score())))
     }
 
     /// Mean length of the edges to a vertex at a place; an edge counts once per tet.
@@ -283,7 +365,7 @@ mod tests {
             })
             .collect();
         let mut ball = Ball::default();
-        ball.fill(faces.iter().copied());
+        ball.fill(faces.iter().map(|face| (*face, Part::Mesh)));
         for n in 0..60 {
             let t = f64::from(n);
             let place = DVec3::new((t * 0.7).sin(), (t * 1.3).cos(), (t * 2.1).sin()) * 0.02 * t;

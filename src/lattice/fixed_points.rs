@@ -15,6 +15,7 @@ use rayon::prelude::*;
 
 use crate::context::RunContext;
 use crate::error::{Finding, FindingCode, Severity};
+use crate::geometry::tetrahedron::volume6;
 use crate::image::grid::Grid;
 use crate::index::VertexId;
 use crate::lattice::candidate_mesh::CandidateMesh;
@@ -61,7 +62,11 @@ fn snap_one(mesh: &mut CandidateMesh, point: DVec3) -> bool {
         let ball: Vec<[VertexId; 4]> = mesh.tets.par_iter().filter(|t| t.contains(&vertex)).copied().collect();
         let moved = |w: VertexId| if w == vertex { point } else { mesh.points[w.index()] };
         let is_good = |tet: &[VertexId; 4]| scaled_jacobian(ElementKind::Tet, &tet.map(moved)) > MIN_SCALED_JACOBIAN;
-        if ball.iter().all(is_good) {
+        let stays_positive = |tet: &[VertexId; 4]| {
+            let place = |w: VertexId| if w == vertex { point } else { mesh.scaffold.place(&mesh.points, w) };
+            !tet.contains(&vertex) || volume6(tet.map(place)) > 0.0
+        };
+        if ball.iter().all(is_good) && mesh.scaffold.tets.par_iter().all(stays_positive) {
             mesh.points[vertex.index()] = point;
             mesh.fixed.push(vertex);
             return true;

@@ -14,9 +14,9 @@ use glam::DVec3;
 use rustc_hash::FxHashMap;
 
 use crate::index::{Label, VertexId};
-use crate::lattice::boundary_targets::{SourcePoints, outside_of};
+use crate::lattice::boundary_targets::SourcePoints;
 use crate::lattice::candidate_mesh::CandidateMesh;
-use crate::lattice::element_score::{Ball, tet_score};
+use crate::lattice::element_score::{Ball, Part, Threshold, part_fails, part_score};
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::mesh::numbering::TET_FACES;
 
@@ -57,10 +57,14 @@ pub struct SurfaceFace {
 impl<'a> ImprovementMesh<'a> {
     /// Takes over the tets of a mesh.
     pub fn new(mesh: &mut CandidateMesh, sources: &SourcePoints, surface: SubvoxelSurface<'a>) -> Self {
-        let points = std::mem::take(&mut mesh.points);
-        let tets: Vec<[u32; 4]> = mesh.tets.iter().map(|t| t.map(|v| v.0)).collect();
-        let labels = std::mem::take(&mut mesh.tet_labels);
+        let mut points = std::mem::take(&mut mesh.points);
+        let scaffold = std::mem::take(&mut mesh.scaffold);
+        let tets: Vec<[u32; 4]> = mesh.tets.iter().chain(&scaffold.tets).map(|t| t.map(|v| v.0)).collect();
+        let mut labels = std::mem::take(&mut mesh.tet_labels);
+        labels.resize(tets.len(), Label::BACKGROUND);
         mesh.tets = Vec::new();
+        let in_mesh = points.len();
+        points.extend(scaffold.points);
         let mut counts = vec![0u32; points.len()];
         tets.as_flattened().iter().for_each(|v| counts[*v as usize] += 1);
         let mut balls: Vec<Vec<u32>> = counts.iter().map(|c| Vec::with_capacity(*c as usize)).collect();
@@ -69,6 +73,7 @@ impl<'a> ImprovementMesh<'a> {
         }
         let mut fixed = vec![false; points.len()];
         mesh.fixed.iter().for_each(|v| fixed[v.index()] = true);
+        fixed[in_mesh..].fill(true);
         let mut result = Self {
             side_set: vec![0; points.len()],
             points,
@@ -88,17 +93,17 @@ impl<'a> ImprovementMesh<'a> {
         result
     }
 
-    /// Gives the tets back, without dead slots and unused vertices.
+    /// Gives the tets back, without dead slots, the scaffold and unused vertices.
     pub fn finish(self, mesh: &mut CandidateMesh) {
         let mut renumbered = vec![u32::MAX; self.points.len()];
         for (v, ball) in self.balls.iter().enumerate() {
-            if !ball.is_empty() {
+            if ball.iter().any(|t| self.part(*t) == Part::Mesh) {
                 renumbered[v] = mesh.points.len() as u32;
                 mesh.points.push(self.points[v]);
             }
         }
         for (tet, label) in self.tets.iter().zip(&self.labels) {
-            if *tet != DEAD {
+            if *tet != DEAD && !label.is_background() {
                 mesh.tets.push(tet.map(|v| VertexId(renumbered[v as usize])));
                 mesh.tet_labels.push(*label);
             }
@@ -154,10 +159,22 @@ impl<'a> ImprovementMesh<'a> {
         [self.points[a as usize], self.points[b as usize], self.points[c as usize], self.points[d as usize]]
     }
 
+    /// What a tet is part of.
+    #[inline]
+    pub fn part(&self, t: u32) -> Part {
+        part_of(self.labels[t as usize])
+    }
+
     /// Score of a tet.
     #[inline]
     pub fn score(&self, t: u32) -> f64 {
-        tet_score(self.corners(t))
+        part_score(self.corners(t), self.part(t))
+    }
+
+    /// Whether the score of a tet is below a threshold.
+    #[inline]
+    pub fn fails(&self, t: u32, threshold: &Threshold) -> bool {
+        part_fails(self.corners(t), self.part(t), threshold)
     }
 
     /// Lowest score in a group of tets.
@@ -171,7 +188,7 @@ impl<'a> ImprovementMesh<'a> {
             let tet = self.tets[*t as usize];
             let own = tet.iter().position(|w| *w == v).unwrap_or(0);
             let [a, b, c] = TET_FACES[own];
-            [self.points[tet[a] as usize], self.points[tet[b] as usize], self.points[tet[c] as usize]]
+            ([self.points[tet[a] as usize], self.points[tet[b] as usize], self.points[tet[c] as usize]], self.part(*t))
         }));
     }
 
@@ -216,11 +233,21 @@ impl<'a> ImprovementMesh<'a> {
         let mut faces = Vec::with_capacity(entries.len() / 2);
         for face in entries.chunk_by(|l, r| l.0 == r.0) {
             match *face {
-                [(_, inner, others)] => faces.push(SurfaceFace { others, inner, outer: None }),
-                [(_, inner, others), (_, outer, _), ..] => {
-                    if self.labels[inner as usize] != self.labels[outer as usize] {
-                        faces.push(SurfaceFace { others, inner, outer: Some(outer) });
+                [(_, inner, others)] => {
+                    if self.part(inner) == Part::Mesh {
+                        faces.push(SurfaceFace { others, inner, outer: None });
                     }
+                }
+                [(_, first, others), (_, second, reversed), ..] => {
+                    if self.labels[first as usize] == self.labels[second as usize] {
+                        continue;
+                    }
+                    // Behind a scaffold is the outside.
+                    faces.push(match (self.part(first), self.part(second)) {
+                        (Part::Mesh, Part::Mesh) => SurfaceFace { others, inner: first, outer: Some(second) },
+                        (Part::Mesh, Part::Scaffold) => SurfaceFace { others, inner: first, outer: None },
+                        (Part::Scaffold, _) => SurfaceFace { others: reversed, inner: second, outer: None },
+                    });
                 }
                 [] => {}
             }
@@ -313,24 +340,12 @@ impl<'a> ImprovementMesh<'a> {
         self.side_set.pop();
         self.fixed.pop();
     }
+}
 
-    /// Finds the sides of a vertex anew after the labels around it have changed.
-    pub fn update_sides(&mut self, v: u32) {
-        let mut sides = Vec::new();
-        for face in self.surface_faces(v) {
-            sides.push(Side::Label(self.labels[face.inner as usize]));
-            sides.push(match face.outer {
-                Some(outer) => Side::Label(self.labels[outer as usize]),
-                None => {
-                    let [a, b] = face.others.map(|w| self.points[w as usize]);
-                    outside_of([self.points[v as usize], a, b], &self.surface)
-                }
-            });
-        }
-        sides.sort_unstable();
-        sides.dedup();
-        self.side_set[v as usize] = self.intern(sides);
-    }
+/// The part that tets of a label are of.
+#[inline]
+pub fn part_of(label: Label) -> Part {
+    if label.is_background() { Part::Scaffold } else { Part::Mesh }
 }
 
 /// The other two vertices of a tet in the order that makes (a, b, first, second) positive like the tet.

@@ -31,7 +31,7 @@ use crate::geometry::tetrahedron::volume6;
 use crate::image::label_image::LabelImage;
 use crate::lattice::boundary_targets::SourcePoints;
 use crate::lattice::candidate_mesh::CandidateMesh;
-use crate::lattice::element_score::{Ball, Threshold, tet_fails};
+use crate::lattice::element_score::{Ball, Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::local_transformations::{TransformationCounts, transform};
 use crate::lattice::overlap_removal::remove_overlaps;
@@ -166,7 +166,8 @@ pub fn improve(
         });
     }
     summary.crossings = remove_overlaps(&mut work, spacing, LOWEST_AT_LAST, context)?;
-    let low = low_tets(&work, wanted);
+    let mut low = low_tets(&work, wanted);
+    low.retain(|(_, t)| work.part(*t) == Part::Mesh);
     summary.low_after = low.len();
     summary.lowest = low.first().map_or(wanted, |(score, _)| *score);
     work.finish(mesh);
@@ -215,7 +216,7 @@ fn low_among(
     let threshold = Threshold::of(wanted);
     let mut low: Vec<(f64, u32)> = candidates
         .with_min_len(1024)
-        .filter(|t| mesh.is_live(*t) && tet_fails(mesh.corners(*t), &threshold))
+        .filter(|t| mesh.is_live(*t) && mesh.fails(*t, &threshold))
         .map(|t| (mesh.score(t), t))
         .collect();
     low.sort_unstable_by(|l, r| l.0.total_cmp(&r.0).then(l.1.cmp(&r.1)));

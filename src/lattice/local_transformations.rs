@@ -25,8 +25,8 @@
 //! The mesh conforms after each call; the lowest score of the tets that were replaced has risen by `LEAST_GAIN` at least.
 
 use crate::index::Label;
-use crate::lattice::element_score::{Threshold, tet_fails, tet_score};
-use crate::lattice::improvement_mesh::ImprovementMesh;
+use crate::lattice::element_score::{Part, Threshold, part_fails, part_score};
+use crate::lattice::improvement_mesh::{ImprovementMesh, part_of};
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::vertex_optimization::optimize_vertex;
 use crate::mesh::numbering::{TET_EDGES, TET_FACES};
@@ -104,7 +104,7 @@ fn remove_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, at_least: f64) -> boo
     }
     let Some(ring) = mesh.ring(a, b, &shell) else { return false };
     let needed = (mesh.lowest(&shell) + LEAST_GAIN).max(at_least);
-    let Some(triangles) = best_triangulation(mesh, a, b, &ring, needed) else { return false };
+    let Some(triangles) = best_triangulation(mesh, [a, b], &ring, part_of(label), needed) else { return false };
     let mut new = Vec::with_capacity(2 * triangles.len());
     for [i, j, k] in triangles {
         let [p, q, r] = [ring[i], ring[j], ring[k]];
@@ -136,7 +136,13 @@ fn creates_known_edge(mesh: &ImprovementMesh, ring: &[u32], new: &[([u32; 4], La
 }
 
 /// [Klincsek1980]: the triangulation of the ring with the highest lowest score, above `needed`.
-fn best_triangulation(mesh: &ImprovementMesh, a: u32, b: u32, ring: &[u32], needed: f64) -> Option<Vec<[usize; 3]>> {
+fn best_triangulation(
+    mesh: &ImprovementMesh,
+    [a, b]: [u32; 2],
+    ring: &[u32],
+    part: Part,
+    needed: f64,
+) -> Option<Vec<[usize; 3]>> {
     let n = ring.len();
     let at = |v: u32| mesh.points[v as usize];
     let mut best = [[f64::INFINITY; LONGEST_RING]; LONGEST_RING];
@@ -151,9 +157,9 @@ fn best_triangulation(mesh: &ImprovementMesh, a: u32, b: u32, ring: &[u32], need
                     continue;
                 }
                 let [p, q, r] = [at(ring[i]), at(ring[j]), at(ring[k])];
-                score = score.min(tet_score([p, q, r, at(b)]));
+                score = score.min(part_score([p, q, r, at(b)], part));
                 if score > best[i][k].max(needed) {
-                    score = score.min(tet_score([q, p, r, at(a)]));
+                    score = score.min(part_score([q, p, r, at(a)], part));
                 }
                 if score > best[i][k] {
                     best[i][k] = score;
@@ -195,7 +201,8 @@ fn exchange_face(mesh: &mut ImprovementMesh, t: u32, face: usize) -> bool {
     // The face p q r is outward from `inner`, so p, q, inner, outer is positive where the three new tets fill the old two.
     let new = [[p, q, inner, outer], [q, r, inner, outer], [r, p, inner, outer]].map(|tet| (tet, label));
     let needed = mesh.lowest(&[t, other]) + LEAST_GAIN;
-    if new.iter().any(|(tet, _)| tet_score(tet.map(|v| mesh.points[v as usize])) <= needed) {
+    let part = part_of(label);
+    if new.iter().any(|(tet, _)| part_score(tet.map(|v| mesh.points[v as usize]), part) <= needed) {
         return false;
     }
     mesh.replace(&[t, other], &new);
@@ -236,7 +243,7 @@ fn contract_edge(mesh: &mut ImprovementMesh, from: u32, to: u32, needed: &Thresh
     let is_good = |t: &u32| {
         let tet = mesh.tets[*t as usize];
         let [a, b, c, d] = tet;
-        tet.contains(&to) || !tet_fails([place(a), place(b), place(c), place(d)], needed)
+        tet.contains(&to) || !part_fails([place(a), place(b), place(c), place(d)], mesh.part(*t), needed)
     };
     if !mesh.ball(from).iter().all(is_good) || !contraction_is_safe(mesh, from, to) {
         return false;
@@ -293,8 +300,9 @@ fn sides_of_edge(mesh: &ImprovementMesh, a: u32, b: u32, shell: &[u32]) -> Vec<S
     if !mesh.is_surface_edge(a, b, shell) {
         return Vec::new();
     }
-    let is_open = mesh.ring(a, b, shell).is_none();
-    let mut sides: Vec<Side> = shell.iter().map(|t| Side::Label(mesh.labels[*t as usize])).collect();
+    let inside = |t: &&u32| mesh.part(**t) == Part::Mesh;
+    let is_open = !shell.iter().all(|t| inside(&t)) || mesh.ring(a, b, shell).is_none();
+    let mut sides: Vec<Side> = shell.iter().filter(inside).map(|t| Side::Label(mesh.labels[*t as usize])).collect();
     if is_open {
         let outside = |s: &&Side| matches!(s, Side::Border(_)) || **s == Side::Label(Label::BACKGROUND);
         sides.extend(mesh.sides(a).iter().filter(outside).filter(|s| mesh.sides(b).contains(s)));
@@ -307,6 +315,9 @@ fn sides_of_edge(mesh: &ImprovementMesh, a: u32, b: u32, shell: &[u32]) -> Vec<S
 /// Splits an edge at its middle when that, with the new vertex and its neighbours optimised, scores higher.
 fn split_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, slack: f64) -> bool {
     let shell = mesh.shell(a, b);
+    if shell.iter().all(|t| mesh.part(*t) == Part::Scaffold) {
+        return false;
+    }
     let needed = mesh.lowest(&shell) + LEAST_GAIN;
     let sides = sides_of_edge(mesh, a, b, &shell);
     let mut middle = mesh.points[a as usize].midpoint(mesh.points[b as usize]);
@@ -364,6 +375,7 @@ fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool
     if !flat || [a, b, c, d].iter().any(|v| mesh.sides(*v).len() > 2 || mesh.fixed[*v as usize]) {
         return false;
     }
+    let before_turn = mesh.score(t);
     match behind {
         [None, None] => {
             // Outside of the mesh: nothing is left to be flat. Both ends keep other tets, or they would be lost.
@@ -381,6 +393,11 @@ fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool
             mesh.labels[t as usize] = other;
             let score = mesh.score(t);
             if remove_edge(mesh, a, b, score) {
+                return true;
+            }
+            // A scaffold may be flat, and the ends of the edge keep other tets, or they would be lost.
+            let is_used = |v: u32| mesh.ball(v).iter().any(|n| mesh.part(*n) == Part::Mesh);
+            if part_of(other) == Part::Scaffold && score > before_turn + LEAST_GAIN && is_used(a) && is_used(b) {
                 return true;
             }
             mesh.labels[t as usize] = label;

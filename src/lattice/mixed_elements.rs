@@ -30,6 +30,7 @@ use crate::index::{Label, VertexId};
 use crate::lattice::candidate_mesh::{CandidateMesh, MergeableCube};
 use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
 use crate::lattice::red_green::{Elements, RedGreenLattice};
+use crate::lattice::scaffold::Scaffold;
 use crate::mesh::mixed_mesh::ElementKind;
 use crate::mesh::numbering::HEX_FACES;
 use crate::mesh::quality::scaled_jacobian;
@@ -142,8 +143,13 @@ fn keep_one_lattice_per_level(lattice: &RedGreenLattice, around: &[Around], is_c
 }
 
 /// All labelled elements as a candidate mesh, with the cubes that can be merged later; vertices are renumbered in the
-/// order of first use.
-pub fn compact(lattice: &RedGreenLattice, elements: &Elements, cubes: &[MergeableCube]) -> CandidateMesh {
+/// order of first use. A mesh that is to be smoothed gets a scaffold.
+pub fn compact(
+    lattice: &RedGreenLattice,
+    elements: &Elements,
+    cubes: &[MergeableCube],
+    with_scaffold: bool,
+) -> CandidateMesh {
     let labelled = elements.labels.iter().filter(|l| !l.is_background()).count();
     let mut mesh = CandidateMesh {
         tets: Vec::with_capacity(labelled),
@@ -174,6 +180,11 @@ pub fn compact(lattice: &RedGreenLattice, elements: &Elements, cubes: &[Mergeabl
             apexes: c.apexes.map(number),
         })
         .collect();
+    if with_scaffold {
+        let place = |v: u32| lattice.frame.local(lattice.vertices.positions[v as usize]);
+        let count = mesh.points.len();
+        mesh.scaffold = Scaffold::around(&elements.tets, &elements.labels, &mut renumbered, count, place);
+    }
     mesh
 }
 

@@ -38,6 +38,7 @@ pub mod overlap_removal;
 pub mod red_green;
 pub mod red_green_tables;
 pub mod report;
+pub mod scaffold;
 pub mod smoothing;
 pub mod subdivision_criteria;
 pub mod subvoxel_surface;

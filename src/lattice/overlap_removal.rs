@@ -26,6 +26,7 @@ use crate::geometry::aabb_tree::AabbTree;
 use crate::geometry::bounding_box::BoundingBox;
 use crate::geometry::intersection::{Meeting, triangle_pair};
 use crate::geometry::triangle::scaled_normal;
+use crate::lattice::element_score::Part;
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::mesh::numbering::TET_FACES;
 
@@ -87,8 +88,10 @@ fn outer_faces(mesh: &ImprovementMesh) -> Vec<[u32; 3]> {
         let tet = mesh.tets[t as usize];
         (0..4).filter_map(move |face| {
             let corners = TET_FACES[face].map(|v| tet[v]);
-            let may_be = mesh.is_live(t) && corners.iter().all(|v| mesh.is_on_surface(*v));
-            (may_be && mesh.neighbor(t, face).is_none()).then_some(corners)
+            let may_be =
+                mesh.is_live(t) && mesh.part(t) == Part::Mesh && corners.iter().all(|v| mesh.is_on_surface(*v));
+            let is_outside = |n: Option<u32>| n.is_none_or(|n| mesh.part(n) == Part::Scaffold);
+            (may_be && is_outside(mesh.neighbor(t, face))).then_some(corners)
         })
     };
     (0..mesh.tets.len() as u32).into_par_iter().flat_map_iter(of_tet).collect()

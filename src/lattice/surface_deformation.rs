@@ -33,12 +33,13 @@ use crate::image::label_image::LabelImage;
 use crate::index::VertexId;
 use crate::lattice::boundary_targets::{SourcePoints, TargetPoints};
 use crate::lattice::candidate_mesh::CandidateMesh;
-use crate::lattice::element_score::{Threshold, tet_fails, tet_score};
+use crate::lattice::element_score::{Part, Threshold, tet_fails, tet_score};
 use crate::lattice::options::Options;
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
-use crate::lattice::untangling::{GuardedMove, move_guarded};
+use crate::lattice::untangling::{GuardedMove, GuardedTets, move_guarded};
 use crate::sparse::block_csr::BlockCsr;
 use crate::sparse::conjugate_gradient::StoppingRule;
+use crate::sparse::pattern::Incidence;
 use crate::sparse::solver::{PreparedSolver, SolverKind};
 
 /// Accuracy of the displacements: a hundredth of a move is far below what the next iteration corrects.
@@ -102,15 +103,24 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
     }
     let diagonals: Vec<DMat3> = input.sources.vertices.iter().map(|v| matrix.diagonal(v.index())).collect();
     let body = Body { diagonals, held, near: tets_at_sources(mesh, input.sources) };
+    let scaffold = std::mem::take(&mut mesh.scaffold);
+    let rows: Vec<i64> = (0..=scaffold.tets.len() as i64).map(|t| 4 * t).collect();
+    let vertices = mesh.points.len() + scaffold.points.len();
+    let around = Incidence::new(vertices, &rows, scaffold.tets.as_flattened())?;
     for _ in 0..input.options.smoothing_iterations {
         context.check()?;
         let displacements = displacements_of(mesh, input, &body, &mut matrix, &mut summary, context)?;
         let bound = input.options.min_dihedral_angle;
-        let guarded = move_guarded(&mut mesh.points, &mesh.tets, &model.incidence, &displacements, bound);
+        let groups = [
+            GuardedTets { tets: &mesh.tets, incidence: &model.incidence, part: Part::Mesh },
+            GuardedTets { tets: &scaffold.tets, incidence: &around, part: Part::Scaffold },
+        ];
+        let guarded = move_guarded(&mut mesh.points, &scaffold.points, &groups, &displacements, bound);
         summary.guarded.damped += guarded.damped;
         summary.guarded.undone += guarded.undone;
         summary.iterations += 1;
     }
+    mesh.scaffold = scaffold;
     Ok(summary)
 }
 

@@ -18,7 +18,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::index::VertexId;
-use crate::lattice::element_score::{Threshold, tet_fails, tet_score};
+use crate::lattice::element_score::{Part, Threshold, part_fails, part_score};
 use crate::sparse::pattern::Incidence;
 
 /// Rounds that halve before a vertex is put back.
@@ -33,43 +33,68 @@ pub struct GuardedMove {
     pub undone: usize,
 }
 
-/// Moves `points` by `displacements`, damped where a tet would score below `bound` (degrees) and worse than before.
+/// Tets that a move may not spoil.
+#[derive(Clone, Copy)]
+pub struct GuardedTets<'a> {
+    /// Rows of vertices.
+    pub tets: &'a [[VertexId; 4]],
+    /// The tets of each vertex.
+    pub incidence: &'a Incidence,
+    /// What they are part of.
+    pub part: Part,
+}
+
+/// Moves `points` by `displacements`, damped where a tet would score below `bound` (degrees) and worse than before. Vertices
+/// past `points` are those of `still`, which do not move.
 pub fn move_guarded(
     points: &mut [DVec3],
-    tets: &[[VertexId; 4]],
-    incidence: &Incidence,
+    still: &[DVec3],
+    guarded: &[GuardedTets],
     displacements: &[DVec3],
     bound: f64,
 ) -> GuardedMove {
     let before: Vec<DVec3> = points.to_vec();
     let mut factors = vec![1.0f64; points.len()];
     points.par_iter_mut().zip(displacements).for_each(|(p, d)| *p += *d);
-    let corners = |points: &[DVec3], t: u32| {
-        let [a, b, c, d] = tets[t as usize];
-        [points[a.index()], points[b.index()], points[c.index()], points[d.index()]]
+    let count = points.len();
+    let corners = |points: &[DVec3], tet: &[VertexId; 4]| {
+        let [a, b, c, d] = *tet;
+        let at = |v: VertexId| points.get(v.index()).copied().unwrap_or_else(|| still[v.index() - count]);
+        [at(a), at(b), at(c), at(d)]
     };
     let threshold = Threshold::of(bound);
-    let is_spoiled = |points: &[DVec3], t: u32| {
-        let moved = corners(points, t);
-        tet_fails(moved, &threshold) && tet_score(moved) < tet_score(corners(&before, t))
+    let is_spoiled = |points: &[DVec3], group: &GuardedTets, t: u32| {
+        let tet = &group.tets[t as usize];
+        let moved = corners(points, tet);
+        part_fails(moved, group.part, &threshold)
+            && part_score(moved, group.part) < part_score(corners(&before, tet), group.part)
     };
-    let mut bad: Vec<u32> =
-        (0..tets.len() as u32).into_par_iter().with_min_len(1024).filter(|t| is_spoiled(points, *t)).collect();
+    let spoiled = |points: &[DVec3], group: &GuardedTets| -> Vec<u32> {
+        let all = (0..group.tets.len() as u32).into_par_iter().with_min_len(1024);
+        all.filter(|t| is_spoiled(points, group, *t)).collect()
+    };
+    let mut bad: Vec<Vec<u32>> = guarded.iter().map(|group| spoiled(points, group)).collect();
     let mut round = 0;
-    while !bad.is_empty() {
-        let mut moved: Vec<VertexId> = bad.iter().flat_map(|t| tets[*t as usize]).collect();
+    while bad.iter().any(|b| !b.is_empty()) {
+        let of_group = |(group, bad): (&GuardedTets, &Vec<u32>)| -> Vec<VertexId> {
+            bad.iter().flat_map(|t| group.tets[*t as usize]).collect()
+        };
+        let mut moved: Vec<VertexId> = guarded.iter().zip(&bad).flat_map(of_group).collect();
         moved.sort_unstable();
         moved.dedup();
-        moved.retain(|v| factors[v.index()] > 0.0);
+        moved.retain(|v| factors.get(v.index()).is_some_and(|f| *f > 0.0));
         for v in &moved {
             let factor = &mut factors[v.index()];
             *factor = if round < HALVINGS { *factor / 2.0 } else { 0.0 };
             points[v.index()] = before[v.index()] + displacements[v.index()] * *factor;
         }
-        let mut touched: Vec<u32> = moved.iter().flat_map(|v| incidence.of(v.index())).copied().collect();
-        touched.sort_unstable();
-        touched.dedup();
-        bad = touched.into_par_iter().filter(|t| is_spoiled(points, *t)).collect();
+        let still_bad = |group: &GuardedTets| -> Vec<u32> {
+            let mut touched: Vec<u32> = moved.iter().flat_map(|v| group.incidence.of(v.index())).copied().collect();
+            touched.sort_unstable();
+            touched.dedup();
+            touched.into_par_iter().filter(|t| is_spoiled(points, group, *t)).collect()
+        };
+        bad = guarded.iter().map(still_bad).collect();
         round += 1;
     }
     GuardedMove {
@@ -81,6 +106,7 @@ pub fn move_guarded(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lattice::element_score::tet_score;
 
     #[test]
     fn a_move_that_inverts_is_damped_and_the_rest_keeps_its_move() {
@@ -92,7 +118,8 @@ mod tests {
         let mut displacements = vec![DVec3::splat(0.5); 8];
         displacements[..3].fill(DVec3::ZERO);
         displacements[3] = DVec3::Z * -3.0;
-        let result = move_guarded(&mut points, &tets, &incidence, &displacements, 5.0);
+        let guarded = [GuardedTets { tets: &tets, incidence: &incidence, part: Part::Mesh }];
+        let result = move_guarded(&mut points, &[], &guarded, &displacements, 5.0);
         assert!(tets.iter().all(|t| tet_score(t.map(|v| points[v.index()])) > 5.0));
         assert_eq!(points[4], DVec3::splat(5.5));
         assert!(result.damped + result.undone > 0);
