@@ -18,8 +18,8 @@
 //! threads. Volumes are summed in fixed chunks.
 //!
 //! # Limits
-//! Only elements are kept from turning over. Two parts of a surface across a gap of background thinner than the smoothing
-//! are not kept apart here; `overlap_removal` moves back what then crosses, and a finding counts what it cannot.
+//! The scaffold keeps parts of the surface apart across gaps of background; `surface_crossings` counts what crosses all the
+//! same, for a finding.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -34,8 +34,8 @@ use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_score::{Ball, Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::local_transformations::{TransformationCounts, transform};
-use crate::lattice::overlap_removal::remove_overlaps;
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
+use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
 
 /// Score that relaxation may spend in each round, degrees. The first rounds bring vertices onto their surface although tets
@@ -78,11 +78,6 @@ const SLACK: f64 = 0.12;
 /// Last passes over what is still low: wanted score in degrees, slack in voxels of the smallest spacing. A handful of vertices
 /// in a thousand stay off their surface; below the second score an angle is worse than half a voxel.
 const LAST_PASSES: [(f64, f64); 4] = [(WANTED, 0.2), (WANTED, 0.3), (12.5, 0.45), (12.5, 0.6)];
-
-/// Scores that moving crossing sheets apart may leave before the last passes, which raise them again, and after these.
-const LOWEST_BETWEEN: f64 = 4.0;
-/// See `LOWEST_BETWEEN`.
-const LOWEST_AT_LAST: f64 = 10.0;
 
 /// Largest offset of a label's surface, in smallest spacings.
 const LARGEST_OFFSET: f64 = 0.5;
@@ -149,8 +144,6 @@ pub fn improve(
             update_offsets(&mut work, &wanted_volumes, image);
         }
     }
-    let spacing = image.grid().spacing().min_element();
-    remove_overlaps(&mut work, spacing, LOWEST_BETWEEN, context)?;
     for (score, slack) in LAST_PASSES {
         let wanted = score.max(options.min_dihedral_angle);
         let slack = slack * image.grid().spacing().min_element();
@@ -165,7 +158,7 @@ pub fn improve(
             relax_inside(&mut work, v, f64::INFINITY);
         });
     }
-    summary.crossings = remove_overlaps(&mut work, spacing, LOWEST_AT_LAST, context)?;
+    summary.crossings = count_crossings(&work);
     let mut low = low_tets(&work, wanted);
     low.retain(|(_, t)| work.part(*t) == Part::Mesh);
     summary.low_after = low.len();

@@ -34,7 +34,6 @@ pub mod local_transformations;
 pub mod mesh_regions;
 pub mod mixed_elements;
 pub mod options;
-pub mod overlap_removal;
 pub mod red_green;
 pub mod red_green_tables;
 pub mod report;
@@ -42,6 +41,7 @@ pub mod scaffold;
 pub mod smoothing;
 pub mod subdivision_criteria;
 pub mod subvoxel_surface;
+pub mod surface_crossings;
 pub mod surface_deformation;
 #[cfg(test)]
 mod topology_tests;

@@ -10,8 +10,7 @@
 //! [Jiang2017]; there for maps in the plane.
 //!
 //! # Differences
-//! The lattice leaves out what can hold no labelled voxel, so there are places without a scaffold, as wide as the coarsest
-//! elements; what crosses there all the same is found by `overlap_removal`.
+//! One layer of elements in space; `surface_crossings` has a last look.
 //!
 //! # Invariants
 //! Scaffold elements have no part in the result. Their shape counts `SCAFFOLD_WEIGHT` times milder than that of others.
@@ -65,5 +64,64 @@ impl Scaffold {
             }));
         }
         scaffold
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::context::RunContext;
+    use crate::image::grid::Grid;
+    use crate::image::label_image::LabelImage;
+    use crate::lattice;
+    use crate::lattice::options::{Options, PARAMETERS};
+    use crate::mesh::validation::check_mixed_mesh;
+    use crate::parameters::ParameterSet;
+    use glam::DMat3;
+
+    /// Labels without any order, smoothed a little: walls, gaps and contacts of one voxel everywhere.
+    fn disorder(n: usize) -> LabelImage {
+        let mut state = 12345u64;
+        let mut noise = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f64 / (1u64 << 24) as f64
+        };
+        let raw: Vec<f64> = (0..n * n * n).map(|_| noise()).collect();
+        let smooth = |i: usize| {
+            let near = [0, 1, n - 1, n, n * (n - 1), n * n, n * n * (n - 1)];
+            near.iter().map(|step| raw[(i + step) % raw.len()]).sum::<f64>()
+        };
+        let label = |value: f64| Label(if value < 3.4 { 0 } else { 1 + u16::from(value > 3.8) });
+        let voxels = (0..n * n * n).map(|i| label(smooth(i))).collect();
+        let grid = Grid::new([n; 3], DVec3::new(1.0, 1.0, 1.4), DVec3::ZERO, DMat3::IDENTITY).unwrap();
+        LabelImage::new(grid, voxels, vec![0, 1, 2]).unwrap()
+    }
+
+    #[test]
+    fn the_surface_of_a_disordered_image_does_not_run_through_itself() {
+        let context = RunContext::with_threads(2).unwrap();
+        let mut set = ParameterSet::new(PARAMETERS);
+        set.set_text("lattice-spacing", "4").unwrap();
+        let options = Options::from_parameters(&set).unwrap();
+        let (output, report) = lattice::run(&disorder(10), &options, &context).unwrap();
+        check_mixed_mesh(&output.mesh).unwrap();
+        assert_eq!(report.statistics().value("improvement.crossings"), Some(0.0));
+        assert!(output.mesh.element_count() > 1000);
+    }
+
+    #[test]
+    fn the_scaffold_is_what_touches_the_mesh() {
+        // Two background elements beside a labelled one, and one apart.
+        let tets = [[0, 1, 2, 3], [1, 2, 3, 4], [0, 5, 6, 7], [4, 5, 6, 7]];
+        let labels = [1, 0, 0, 0].map(Label);
+        let mut renumbered = [0, 1, 2, 3, u32::MAX, u32::MAX, u32::MAX, u32::MAX];
+        let scaffold = Scaffold::around(&tets, &labels, &mut renumbered, 4, |v| DVec3::splat(f64::from(v)));
+        assert_eq!(scaffold.tets, [[1, 2, 3, 4].map(VertexId), [0, 5, 6, 7].map(VertexId)]);
+        assert_eq!(scaffold.points, [4.0, 5.0, 6.0, 7.0].map(DVec3::splat));
+        let of_mesh = [DVec3::X; 4];
+        assert_eq!(
+            (scaffold.place(&of_mesh, VertexId(2)), scaffold.place(&of_mesh, VertexId(5))),
+            (DVec3::X, DVec3::splat(5.0))
+        );
     }
 }
