@@ -51,7 +51,7 @@ use crate::statistics::Statistics;
 /// A vertex to insert and the tet to walk from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Insert {
-    /// The vertex; its point and size are set.
+    /// The vertex; its point and clearance are set.
     pub vertex: VertexId,
     /// A tet near its point.
     pub start: TetId,
@@ -122,7 +122,7 @@ trait Job: Sync {
 }
 
 struct InsertJob<'a> {
-    sizes: &'a [f64],
+    clearances: &'a [f64],
     rule: &'a InsertionRule,
 }
 
@@ -136,7 +136,7 @@ impl Job for InsertJob<'_> {
         };
         let point = store.point(item.vertex);
         let reconnector = &mut kit.reconnector;
-        match insert_vertex(store, self.sizes, item.vertex, point, start, self.rule, reconnector)? {
+        match insert_vertex(store, self.clearances, item.vertex, point, start, self.rule, reconnector)? {
             Insertion::Inserted => kit.last = Some(item.vertex),
             Insertion::ClaimLost => return Ok(Attempt::ClaimLost),
             Insertion::NoRoom => return Ok(Attempt::NoRoom),
@@ -404,14 +404,14 @@ impl Driver {
     pub fn insert(
         &mut self,
         complex: &mut TetComplex,
-        sizes: &[f64],
+        clearances: &[f64],
         inserts: Vec<Insert>,
         rule: &InsertionRule,
         fresh: &mut Vec<TetId>,
     ) -> Result<Vec<VertexId>> {
         self.kits.iter_mut().for_each(|kit| kit.last = None);
         let room = TETS_PER_INSERT * inserts.len();
-        self.run(complex, &InsertJob { sizes, rule }, inserts, room)?;
+        self.run(complex, &InsertJob { clearances, rule }, inserts, room)?;
         fresh.append(&mut self.finish_lost(complex, Objective::InSphere, FourFour::Off)?);
         Ok(self.kits.iter_mut().flat_map(|kit| std::mem::take(&mut kit.rejected)).collect())
     }

@@ -27,7 +27,7 @@ use super::front::{RESTING, SATISFIED, Satisfaction, corner_sizes, deactivate, r
 use super::local_reconnection::{FlipCounts, FourFour, Objective};
 use super::options::Options;
 use super::parallel_reconnection::{Driver, Insert};
-use super::point_filter::{Walk, interpolated_size, is_clear, walk};
+use super::point_filter::{Walk, clearances, interpolated_size, is_clear, walk};
 use super::point_placement::{Candidate, Placement, create_candidates};
 use super::tet_prediction::predicted_tets;
 use super::vertex_insertion::InsertionRule;
@@ -133,6 +133,7 @@ pub fn refine(
     let mut driver = Driver::for_refinement(options, context);
     let mut active: Vec<TetId> = complex.finite_tets().collect();
     let mut unused: Vec<VertexId> = Vec::new();
+    let mut clearances = clearances(complex.points(), &boundary_triangles(complex), sizes, options.size_factor);
     let mut total = Round::default();
     let mut rounds = 0;
     let known = complex.vertex_count();
@@ -140,8 +141,17 @@ pub fn refine(
     while rounds < options.maximum_passes {
         context.check()?;
         let room = limit.saturating_sub(complex.live_count()) / TETS_PER_POINT;
-        let mut round =
-            refine_round(complex, sizes, field, options, context, &mut driver, &mut active, &mut unused, room)?;
+        let mut round = refine_round(
+            complex,
+            (sizes, &mut clearances),
+            field,
+            options,
+            context,
+            &mut driver,
+            &mut active,
+            &mut unused,
+            room,
+        )?;
         rounds += 1;
         total.created += round.created;
         total.filtered += round.filtered;
@@ -162,6 +172,7 @@ pub fn refine(
             next_renumbering = GROWTH_OF_RENUMBERING * complex.live_count();
             let renumbering = context.install(|| complex.renumber_along_curve(known))?;
             *sizes = renumbering.of_vertices(sizes);
+            clearances = renumbering.of_vertices(&clearances);
             active.iter_mut().for_each(|tet| *tet = renumbering.tet(*tet));
             let mut new_of = vec![VertexId(0); sizes.len()];
             renumbering
@@ -287,7 +298,7 @@ fn clear_marks(complex: &mut TetComplex) {
 #[allow(clippy::too_many_arguments, reason = "the state of the rounds, kept apart so that each is borrowed alone")]
 fn refine_round(
     complex: &mut TetComplex,
-    sizes: &mut Vec<f64>,
+    (sizes, clearances): (&mut Vec<f64>, &mut Vec<f64>),
     field: &SizeField,
     options: &Options,
     context: &RunContext,
@@ -311,7 +322,7 @@ fn refine_round(
     round.active = active.len();
     let candidates = context.install(|| create_candidates(complex, sizes, active, &placement));
     round.created = candidates.len();
-    let accepted = context.install(|| filter(complex, sizes, field, options, &candidates))?;
+    let accepted = context.install(|| filter(complex, (sizes, clearances), field, options, &candidates))?;
     drop(candidates);
     round.filtered = accepted.len();
     rest_all_but(complex, active, accepted.iter().map(|a| a.origin));
@@ -327,7 +338,9 @@ fn refine_round(
     };
     let mut fresh = Vec::new();
     let count = inserts.len();
-    let rejected = driver.insert(complex, sizes, inserts, &rule, &mut fresh)?;
+    clearances.resize(sizes.len(), 0.0);
+    inserts.iter().for_each(|insert| clearances[insert.vertex.index()] = sizes[insert.vertex.index()]);
+    let rejected = driver.insert(complex, clearances, inserts, &rule, &mut fresh)?;
     round.inserted = count - rejected.len();
     unused.extend(rejected);
     let objective = match options.reconnection_criterion {
@@ -372,28 +385,25 @@ struct Accepted {
 /// The first test of the candidates, in parallel: where they lie, how large they are, what is too close.
 fn filter(
     complex: &TetComplex,
-    sizes: &[f64],
+    (sizes, clearances): (&[f64], &[f64]),
     field: &SizeField,
     options: &Options,
     candidates: &[Candidate],
 ) -> Result<Vec<Accepted>> {
     let is_free = field.is_free();
-    let test = |candidate: &Candidate| -> Option<Result<Accepted>> {
-        let Walk::Inside(tet) = walk(complex, candidate.tet, candidate.point) else { return None };
-        let interpolated = interpolated_size(complex, sizes, tet, candidate.point, options.size_minimum_weight);
-        let wanted = interpolated.min(options.growth_rate * candidate.scale);
-        let size = if is_free { Ok(wanted) } else { field.bounded_in(complex.label(tet), candidate.point, wanted) };
-        let size = match size {
-            Ok(size) => size,
-            Err(error) => return Some(Err(error)),
+    let test =
+        |candidate: &Candidate| -> Option<Result<Accepted>> {
+            let Walk::Inside(tet) = walk(complex, candidate.tet, candidate.point) else { return None };
+            let interpolated = interpolated_size(complex, sizes, tet, candidate.point, options.size_minimum_weight);
+            let wanted = interpolated.min(options.growth_rate * candidate.scale);
+            let size = if is_free { Ok(wanted) } else { field.bounded_in(complex.label(tet), candidate.point, wanted) };
+            let size = match size {
+                Ok(size) => size,
+                Err(error) => return Some(Err(error)),
+            };
+            is_clear(complex, clearances, tet, candidate.point, size, options.near_point_factor)
+                .then_some(Ok(Accepted { point: candidate.point, size, tet, origin: candidate.tet }))
         };
-        is_clear(complex, sizes, tet, candidate.point, size, options.near_point_factor).then_some(Ok(Accepted {
-            point: candidate.point,
-            size,
-            tet,
-            origin: candidate.tet,
-        }))
-    };
     candidates.par_iter().with_min_len(256).filter_map(test).collect()
 }
 

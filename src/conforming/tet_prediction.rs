@@ -4,14 +4,15 @@
 //! 1. The sizes at the corners of the present tets are interpolated; the field bounds them at the centre of each tet.
 //! 2. Where sizes differ within a tet, its longest edge is halved again and again. At the middle the size is the average
 //!    of the two ends, but grows from the smaller end at most by the rate of the advancing front.
-//! 3. Volume over the volume of the regular tet of that size, summed.
+//! 3. Volume over the volume of the regular tet of that size, summed. Where there are many tets, only one half of a part
+//!    is followed after some halvings, by chance and with the weight that leaves the expected sum the same.
 //!
 //! # Source
 //! Our own; the growth rate is [Drakopoulos2017] B.3 `cdfr`.
 //!
 //! # Cost
-//! Linear in the present tets, with at most about one part per predicted tet where sizes differ; parallel over fixed
-//! ranges, so that the sum does not depend on the number of threads.
+//! Linear in the present tets; where sizes differ, at most `FULL_PARTS` times `PREDICTION_DEPTH` parts besides. Parallel
+//! over fixed ranges with random numbers by tet, so that the sum does not depend on the number of threads.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -19,6 +20,7 @@ use rayon::prelude::*;
 use super::front::corner_sizes;
 use crate::context::RunContext;
 use crate::error::Result;
+use crate::geometry::spatial_sort::mix;
 use crate::geometry::tetrahedron::volume;
 use crate::index::{Label, TetId};
 use crate::mesh::numbering::TET_EDGES;
@@ -35,6 +37,9 @@ const MEAN_STRETCH: f64 = 1.05;
 const PREDICTION_CHUNK: usize = 512;
 /// Most halvings of a tet in the prediction: parts are then about a tenth of it along every axis.
 const PREDICTION_DEPTH: usize = 10;
+/// Parts, over all tets, up to which both halves are followed. The sum of so many independent estimates is good to a few
+/// percent.
+const FULL_PARTS: usize = 1 << 16;
 /// Sizes within this factor count as one.
 const EVEN_SIZES: f64 = 1.6;
 /// Height of the regular tet over its edge.
@@ -53,12 +58,15 @@ pub fn predicted_tets(
     context: &RunContext,
 ) -> Result<f64> {
     let slope = (growth - 1.0) / EQUILATERAL_HEIGHT;
+    let full_depth = (FULL_PARTS / complex.live_count().max(1)).max(1).ilog2() as usize;
     let share = |tets: std::ops::Range<usize>| -> Result<f64> {
         let mut total = 0.0;
         for tet in tets.map(TetId::from_index) {
             if complex.is_live(tet) && !complex.is_ghost_tet(tet) && !complex.label(tet).is_background() {
-                let part = Part { corners: complex.points_of(tet), sizes: corner_sizes(complex, sizes, tet), depth: 0 };
-                total += part.count(field, complex.label(tet), slope)?;
+                let (corners, sizes) = (complex.points_of(tet), corner_sizes(complex, sizes, tet));
+                let part = Part { corners, sizes, depth: 0, weight: 1.0 };
+                let split = Split { slope, full_depth, random: mix(u64::from(tet.0)) };
+                total += part.count(field, complex.label(tet), split)?;
             }
         }
         Ok(total)
@@ -79,10 +87,21 @@ struct Part {
     corners: [DVec3; 4],
     sizes: [f64; 4],
     depth: usize,
+    /// Parts that it stands for.
+    weight: f64,
+}
+
+/// How parts are halved.
+#[derive(Clone, Copy)]
+struct Split {
+    slope: f64,
+    /// Both halves are followed up to this depth.
+    full_depth: usize,
+    random: u64,
 }
 
 impl Part {
-    fn count(self, field: &SizeField, label: Label, slope: f64) -> Result<f64> {
+    fn count(self, field: &SizeField, label: Label, mut split: Split) -> Result<f64> {
         let mut stack = vec![self];
         let mut total = 0.0;
         while let Some(part) = stack.pop() {
@@ -94,9 +113,18 @@ impl Part {
                 let center = part.corners.iter().sum::<DVec3>() / 4.0;
                 let average = part.sizes.iter().sum::<f64>() / 4.0;
                 let size = MEAN_STRETCH * field.bounded_in(label, center, average)?;
-                total += volume / size.powi(3);
+                total += part.weight * volume / size.powi(3);
+            } else if part.depth < split.full_depth {
+                stack.extend(part.halves(split.slope));
             } else {
-                stack.extend(part.halves(slope));
+                // By chance, in proportion to what either is likely to count.
+                split.random = mix(split.random);
+                let chance = (split.random >> 11) as f64 / (1u64 << 53) as f64;
+                let halves = part.halves(split.slope);
+                let density = halves.map(|half| half.sizes.iter().sum::<f64>().powi(-3));
+                let first = density[0] / (density[0] + density[1]);
+                let (half, share) = if chance < first { (halves[0], first) } else { (halves[1], 1.0 - first) };
+                stack.push(Self { weight: part.weight / share, ..half });
             }
         }
         Ok(total)

@@ -51,13 +51,13 @@ pub struct InsertionRule {
     pub snap_tolerance: f64,
 }
 
-/// Inserts `vertex`, whose point and size are set, walking from `start`.
+/// Inserts `vertex`, whose point and clearance are set, walking from `start`.
 ///
 /// # Errors
 /// As [`crate::conforming::flips::commit`].
 pub fn insert_vertex<S: TetStore + ?Sized>(
     store: &mut S,
-    sizes: &[f64],
+    clearances: &[f64],
     vertex: VertexId,
     point: DVec3,
     start: TetId,
@@ -75,7 +75,7 @@ pub fn insert_vertex<S: TetStore + ?Sized>(
         store.release_claims();
         return Ok(Insertion::ClaimLost);
     }
-    if !is_clear(store, sizes, tet, point, sizes[vertex.index()], rule.near_factor) {
+    if !is_clear(store, clearances, tet, point, clearances[vertex.index()], rule.near_factor) {
         store.release_claims();
         return Ok(Insertion::TooClose);
     }
@@ -84,7 +84,8 @@ pub fn insert_vertex<S: TetStore + ?Sized>(
     if matches!(snapped, Feature::Tet(_)) {
         match reconnector.cavity.plan(store, tet, point) {
             Outcome::Accepted => {
-                if !reconnector.cavity.is_clear(store, sizes, point, sizes[vertex.index()], rule.near_factor) {
+                if !reconnector.cavity.is_clear(store, clearances, point, clearances[vertex.index()], rule.near_factor)
+                {
                     store.release_claims();
                     return Ok(Insertion::TooClose);
                 }
