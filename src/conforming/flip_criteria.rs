@@ -49,8 +49,9 @@ impl TetMeasure for AnyPositive {
     }
 }
 
-/// Weight of an obtuse angle's sine: 18 and 150 degrees get the same grade, the limits aimed at.
-const OBTUSE_WEIGHT: f64 = 0.62;
+/// Weight of an obtuse angle's sine: between 0.62, where the angles aimed at, 18 and 150 degrees, get the same grade, and
+/// 0.555, where those demanded do, 12 and 158.
+const OBTUSE_WEIGHT: f64 = 0.58;
 
 /// The smallest sine of the dihedral angles, sines of obtuse angles reduced.
 #[derive(Debug, Clone, Copy, Default)]
@@ -96,16 +97,16 @@ impl TetMeasure for BiasedSine {
     }
 }
 
-/// Angles that tets off the boundary are expected to reach at any price for those on it, degrees.
-const STRICT_ANGLES: (f64, f64) = (15.0, 155.0);
+/// The angle that tets off the boundary are expected to reach at any price for those on it, degrees. The large angle of
+/// the same grade is 153.5.
+const STRICT_ANGLE: f64 = 15.0;
 
-/// The grade of a tet that nothing forces to be bad: below `STRICT_ANGLES` it falls with the ninth power, so that no
+/// The grade of a tet that nothing forces to be bad: below `STRICT_ANGLE` it falls with the thirteenth power, so that no
 /// operation pays for a better tet at the boundary, where the surface may force bad angles, with a bad one off it.
 #[inline]
 pub fn strict(grade: f64) -> f64 {
-    // The smaller of the two sines is that of the small angle.
-    let limit = STRICT_ANGLES.0.to_radians().sin();
-    if grade >= limit || grade <= 0.0 { grade } else { grade * (grade / limit).powi(8) }
+    let limit = STRICT_ANGLE.to_radians().sin();
+    if grade >= limit || grade <= 0.0 { grade } else { grade * (grade / limit).powi(12) }
 }
 
 /// The biased sine, strict with tets that have no vertex on the boundary.
@@ -210,7 +211,7 @@ mod tests {
 
     #[test]
     fn strict_grades_keep_their_order_and_fall_below_the_limit() {
-        let limit = BiasedSine::grade_of_angles(STRICT_ANGLES.0, STRICT_ANGLES.1);
+        let limit = STRICT_ANGLE.to_radians().sin();
         assert_eq!(strict(limit), limit);
         assert!(strict(0.9 * limit) > strict(0.8 * limit) && strict(0.8 * limit) > 0.0);
         // A tet off the boundary at 12 degrees counts less than one on it at 5.

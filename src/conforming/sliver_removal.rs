@@ -6,6 +6,8 @@
 //!   configuration 2: the shell of the opposite edge                   new point: its centroid, moved to where the worst
 //!   configuration 3: both shells                                      new tet is best
 //! ```
+//! The same with the other two pairs of opposite edges, where asked for.
+//!
 //! The configuration whose worst new tet is best is taken, if that is better than the worst tet it replaces and not below
 //! a floor. Without the floor, tets whose bad angles the surface forces would draw point after point, each a little
 //! better than the last, until the thin places of the domain are full of small bad tets.
@@ -17,7 +19,7 @@
 //! The thesis smooths the new point afterwards where slivers remain; here its place is searched before anything changes.
 //!
 //! # Invariants
-//! Constrained faces bound the polyhedron; constrained edges inside it refuse it.
+//! Constrained faces bound the polyhedron; constrained faces, constrained edges and vertices inside it refuse it.
 
 use glam::DVec3;
 
@@ -50,6 +52,9 @@ pub struct InsertionLimits {
     pub floor: f64,
     /// No vertex around is closer than this, mm.
     pub spacing: f64,
+    /// Whether the shells of the other four edges are tried as well: where the surface holds the edges with the largest
+    /// angles, theirs are the only polyhedra there are.
+    pub every_edge: bool,
 }
 
 /// Plans the insertion of `vertex` (a spare one without tets) that removes `tet`. The plan is in `flips`; the second
@@ -73,10 +78,28 @@ pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
     let first = (0..6).max_by(|&i, &j| angles[i].total_cmp(&angles[j])).unwrap_or(0);
     let [c, d] = TET_OPPOSITE_EDGES[first];
     let second = TET_EDGE_BETWEEN[c][d];
-    let configurations: [&[usize]; 3] = [&[first], &[second], &[first, second]];
+    let opposite = |edge: usize| {
+        let [a, b] = TET_OPPOSITE_EDGES[edge];
+        TET_EDGE_BETWEEN[a][b]
+    };
+    let [third, fifth] =
+        if first == 0 || second == 0 { [1, 2] } else { [0, if first == 1 || second == 1 { 2 } else { 1 }] };
+    let [fourth, sixth] = [opposite(third), opposite(fifth)];
+    let configurations: [&[usize]; 9] = [
+        &[first],
+        &[second],
+        &[first, second],
+        &[third],
+        &[fourth],
+        &[fifth],
+        &[sixth],
+        &[third, fourth],
+        &[fifth, sixth],
+    ];
+    let count = if limits.every_edge { configurations.len() } else { 3 };
     let mut best: Option<(f64, f64, DVec3)> = None;
     let mut last = Outcome::WorsensQuality;
-    for edges in configurations {
+    for edges in &configurations[..count] {
         match gather(store, tet, edges, measure, scratch) {
             Outcome::Accepted => {}
             Outcome::ClaimLost => return (Outcome::ClaimLost, DVec3::ZERO),
@@ -149,6 +172,9 @@ fn gather<S: TetStore + ?Sized, M: TetMeasure>(
         }
     }
     collect_border(store, scratch);
+    if edges.len() > 1 && !scratch.keeps_all(store) {
+        return Outcome::Constrained;
+    }
     scratch.star.faces.clear();
     scratch.star.strict.clear();
     for at in 0..scratch.border.len() {
@@ -158,6 +184,30 @@ fn gather<S: TetStore + ?Sized, M: TetMeasure>(
         scratch.star.strict.push(measure.is_strict(&vertices));
     }
     Outcome::Accepted
+}
+
+impl SliverScratch {
+    /// Whether no vertex, constrained face or constrained edge is inside the polyhedron. Within one shell there is nothing
+    /// but the edge that it goes round.
+    fn keeps_all<S: TetStore + ?Sized>(&self, store: &S) -> bool {
+        let on_border = |ends: &[VertexId]| {
+            self.border.iter().any(|&side| {
+                let face = store.face_vertices(side);
+                ends.iter().all(|v| face.contains(v))
+            })
+        };
+        self.cavity.iter().all(|&tet| {
+            let (row, flags, neighbors) = (store.vertices(tet), store.flags(tet), store.neighbors(tet));
+            let is_wall = |face: usize| flags.is_face_constrained(face) && self.cavity.contains(&neighbors[face].tet());
+            let is_lost = |edge: usize| {
+                let [i, j] = TET_EDGES[edge];
+                flags.is_edge_constrained(edge) && !on_border(&[row[i], row[j]])
+            };
+            row.iter().all(|&v| on_border(&[v]))
+                && !(0..4).any(|face| neighbors[face] != TetFace::NONE && is_wall(face))
+                && !(flags.has_constrained_edge() && (0..6).any(is_lost))
+        })
+    }
 }
 
 fn collect_border<S: TetStore + ?Sized>(store: &S, scratch: &mut SliverScratch) {

@@ -66,11 +66,12 @@ impl Treatment {
 fn insertion_limits(grade: f64, is_off_boundary: bool, size: f64) -> InsertionLimits {
     let grade_at = |degrees: f64| degrees.to_radians().sin();
     if grade < grade_at(FLAT_BELOW) {
-        InsertionLimits { floor: FLAT_GAIN * grade, spacing: 0.0 }
+        InsertionLimits { floor: FLAT_GAIN * grade, spacing: 0.0, every_edge: true }
     } else if grade < grade_at(BAD_BELOW) {
-        InsertionLimits { floor: grade_at(BAD_BELOW), spacing: 0.0 }
+        InsertionLimits { floor: grade_at(BAD_BELOW), spacing: 0.0, every_edge: true }
     } else {
-        InsertionLimits { floor: grade_at(FLOOR), spacing: if is_off_boundary { 0.0 } else { SPACING * size } }
+        let spacing = if is_off_boundary { 0.0 } else { SPACING * size };
+        InsertionLimits { floor: grade_at(FLOOR), spacing, every_edge: is_off_boundary }
     }
 }
 
