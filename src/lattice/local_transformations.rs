@@ -149,12 +149,7 @@ fn creates_known_edge(mesh: &ImprovementMesh, ring: &[u32], new: &[([u32; 4], La
 }
 
 /// [Klincsek1980]: the triangulation of the ring with the highest lowest score, above `needed`.
-fn best_triangulation(
-    mesh: &ImprovementMesh,
-    [a, b]: [u32; 2],
-    ring: &[u32],
-    needed: f64,
-) -> Option<Vec<[usize; 3]>> {
+fn best_triangulation(mesh: &ImprovementMesh, [a, b]: [u32; 2], ring: &[u32], needed: f64) -> Option<Vec<[usize; 3]>> {
     let n = ring.len();
     let at = |v: u32| mesh.points[v as usize];
     let mut best = [[f64::INFINITY; LONGEST_RING]; LONGEST_RING];
@@ -383,7 +378,10 @@ fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool
     let flat = before[0].dot(before[1]) > SMALLEST_NORMAL_COSINE
         && after[0].dot(after[1]) > SMALLEST_NORMAL_COSINE
         && before[0].dot(after[0]).abs() > SMALLEST_NORMAL_COSINE;
-    if !flat || [a, b, c, d].iter().any(|v| mesh.sides(*v).len() > 2 || mesh.fixed[*v as usize]) {
+    // Two labels only meet at a b and one at c d, so no junction line is touched; the image border keeps its own edges.
+    let at_border = |v: u32| mesh.sides(v).iter().any(|s| matches!(s, Side::Border(_)));
+    let must_stay = |v: u32| mesh.fixed[v as usize] || at_border(v) && mesh.sides(v).len() > 2;
+    if !flat || [a, b, c, d].into_iter().any(must_stay) {
         return false;
     }
     match behind {
