@@ -15,7 +15,7 @@ use rustc_hash::FxHashMap;
 
 use crate::index::{Label, VertexId};
 use crate::lattice::boundary_targets::SourcePoints;
-use crate::lattice::candidate_mesh::CandidateMesh;
+use crate::lattice::candidate_mesh::{CandidateMesh, MergeableCube};
 use crate::lattice::element_score::{Ball, Part, Threshold, part_fails, part_score};
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::mesh::numbering::TET_FACES;
@@ -108,7 +108,18 @@ impl<'a> ImprovementMesh<'a> {
                 mesh.tet_labels.push(*label);
             }
         }
-        mesh.fixed.iter_mut().for_each(|v| *v = VertexId(renumbered[v.index()]));
+        let number = |v: &mut VertexId| *v = VertexId(renumbered[v.index()]);
+        mesh.fixed.iter_mut().for_each(number);
+        // A cube that lost a vertex has lost tets too.
+        let is_whole = |c: &MergeableCube| {
+            [&[c.center], &c.corners[..], &c.apexes[..]].concat().iter().all(|v| renumbered[v.index()] != u32::MAX)
+        };
+        mesh.cubes.retain(is_whole);
+        for cube in &mut mesh.cubes {
+            number(&mut cube.center);
+            cube.corners.iter_mut().for_each(number);
+            cube.apexes.iter_mut().for_each(number);
+        }
     }
 
     fn intern(&mut self, set: Vec<Side>) -> u32 {

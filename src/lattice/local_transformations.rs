@@ -25,9 +25,8 @@
 //! The mesh conforms after each call; the lowest score of the tets that were replaced has risen by `LEAST_GAIN` at least.
 
 use crate::index::Label;
-use crate::lattice::element_score::{Part, Threshold, part_fails, tet_score};
+use crate::lattice::element_score::{Part, Threshold, part_fails, part_score};
 use crate::lattice::improvement_mesh::{ImprovementMesh, part_of};
-use crate::lattice::scaffold::SCAFFOLD_ANGLE;
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::vertex_optimization::optimize_vertex;
 use crate::mesh::numbering::{TET_EDGES, TET_FACES};
@@ -93,18 +92,6 @@ pub fn transform(mesh: &mut ImprovementMesh, t: u32, slack: f64, counts: &mut Tr
     false
 }
 
-/// Lowest score of tets of one label, also where that is the scaffold's.
-fn lowest_shape(mesh: &ImprovementMesh, tets: &[u32]) -> f64 {
-    tets.iter().map(|t| tet_score(mesh.corners(*t))).fold(f64::INFINITY, f64::min)
-}
-
-/// Makes a nearly flat tet of the scaffold better, so that its vertices can move.
-pub fn loosen_scaffold(mesh: &mut ImprovementMesh, t: u32) {
-    let tet = mesh.tets[t as usize];
-    let removed = TET_EDGES.into_iter().any(|[a, b]| remove_edge(mesh, tet[a], tet[b], f64::NEG_INFINITY));
-    let _ = removed || (0..4).any(|face| exchange_face(mesh, t, face));
-}
-
 /// Replaces the tets around an inner edge by the best triangulation of their ring.
 fn remove_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, at_least: f64) -> bool {
     let shell = mesh.shell(a, b);
@@ -116,8 +103,8 @@ fn remove_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, at_least: f64) -> boo
         return false;
     }
     let Some(ring) = mesh.ring(a, b, &shell) else { return false };
-    let needed = (lowest_shape(mesh, &shell) + LEAST_GAIN).max(at_least);
-    let Some(triangles) = best_triangulation(mesh, [a, b], &ring, needed) else { return false };
+    let needed = (mesh.lowest(&shell) + LEAST_GAIN).max(at_least);
+    let Some(triangles) = best_triangulation(mesh, [a, b], &ring, part_of(label), needed) else { return false };
     let mut new = Vec::with_capacity(2 * triangles.len());
     for [i, j, k] in triangles {
         let [p, q, r] = [ring[i], ring[j], ring[k]];
@@ -149,7 +136,13 @@ fn creates_known_edge(mesh: &ImprovementMesh, ring: &[u32], new: &[([u32; 4], La
 }
 
 /// [Klincsek1980]: the triangulation of the ring with the highest lowest score, above `needed`.
-fn best_triangulation(mesh: &ImprovementMesh, [a, b]: [u32; 2], ring: &[u32], needed: f64) -> Option<Vec<[usize; 3]>> {
+fn best_triangulation(
+    mesh: &ImprovementMesh,
+    [a, b]: [u32; 2],
+    ring: &[u32],
+    part: Part,
+    needed: f64,
+) -> Option<Vec<[usize; 3]>> {
     let n = ring.len();
     let at = |v: u32| mesh.points[v as usize];
     let mut best = [[f64::INFINITY; LONGEST_RING]; LONGEST_RING];
@@ -164,9 +157,9 @@ fn best_triangulation(mesh: &ImprovementMesh, [a, b]: [u32; 2], ring: &[u32], ne
                     continue;
                 }
                 let [p, q, r] = [at(ring[i]), at(ring[j]), at(ring[k])];
-                score = score.min(tet_score([p, q, r, at(b)]));
+                score = score.min(part_score([p, q, r, at(b)], part));
                 if score > best[i][k].max(needed) {
-                    score = score.min(tet_score([q, p, r, at(a)]));
+                    score = score.min(part_score([q, p, r, at(a)], part));
                 }
                 if score > best[i][k] {
                     best[i][k] = score;
@@ -207,8 +200,9 @@ fn exchange_face(mesh: &mut ImprovementMesh, t: u32, face: usize) -> bool {
     }
     // The face p q r is outward from `inner`, so p, q, inner, outer is positive where the three new tets fill the old two.
     let new = [[p, q, inner, outer], [q, r, inner, outer], [r, p, inner, outer]].map(|tet| (tet, label));
-    let needed = lowest_shape(mesh, &[t, other]) + LEAST_GAIN;
-    if new.iter().any(|(tet, _)| tet_score(tet.map(|v| mesh.points[v as usize])) <= needed) {
+    let needed = mesh.lowest(&[t, other]) + LEAST_GAIN;
+    let part = part_of(label);
+    if new.iter().any(|(tet, _)| part_score(tet.map(|v| mesh.points[v as usize]), part) <= needed) {
         return false;
     }
     mesh.replace(&[t, other], &new);
@@ -277,9 +271,9 @@ fn contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32) -> bool {
 }
 
 /// A surface vertex may be merged along a surface edge into a vertex that separates the same sides and more, when the
-/// triangles keep their direction.
+/// triangles keep their direction. A vertex on a line where surfaces meet is merged along that line only.
 fn surface_contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32, shell: &[u32]) -> bool {
-    if mesh.sides(from).len() > 2 || !mesh.sides_within(from, to) || !mesh.is_surface_edge(from, to, shell) {
+    if !mesh.sides_within(from, to) || !mesh.is_surface_edge(from, to, shell) {
         return false;
     }
     let faces = mesh.surface_faces(from);
@@ -289,7 +283,10 @@ fn surface_contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32, shell
     let mut near_to: Vec<u32> = mesh.surface_faces(to).iter().flat_map(|f| f.others).collect();
     near_to.sort_unstable();
     near_to.dedup();
-    if common(&near, &near_to) != 2 {
+    // The vertices joined to both ends through surfaces are those of the triangles at the edge, or a surface would fold
+    // onto itself.
+    let at_edge = faces.iter().filter(|f| f.others.contains(&to)).count();
+    if common(&near, &near_to) != at_edge || (mesh.sides(from).len() > 2 && !lies_along_line(mesh, from, to, &near)) {
         return false;
     }
     let at = |v: u32| mesh.points[v as usize];
@@ -301,6 +298,28 @@ fn surface_contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32, shell
     })
 }
 
+/// Whether a vertex is in the middle of a line where surfaces meet, `to` is next to it, and the line bends little there.
+fn lies_along_line(mesh: &ImprovementMesh, from: u32, to: u32, near: &[u32]) -> bool {
+    let is_on_line = |w: &u32| {
+        mesh.sides_within(from, *w) && {
+            let sides = sides_of_edge(mesh, from, *w, &mesh.shell(from, *w));
+            sides.len() == mesh.sides(from).len() && sides.iter().all(|s| mesh.sides(from).contains(s))
+        }
+    };
+    let line: Vec<u32> = near.iter().copied().filter(is_on_line).collect();
+    let [first, second] = line[..] else { return false };
+    let before = match to {
+        t if t == first => second,
+        t if t == second => first,
+        _ => return false,
+    };
+    let at = |v: u32| mesh.points[v as usize];
+    let (arriving, leaving) = (at(from) - at(before), at(to) - at(from));
+    // Where the other neighbour is joined to `to` the line would close to a triangle and vanish.
+    arriving.normalize_or_zero().dot(leaving.normalize_or_zero()) > SMALLEST_NORMAL_COSINE
+        && mesh.shell(before, to).is_empty()
+}
+
 /// Sides of a vertex in the middle of an edge.
 fn sides_of_edge(mesh: &ImprovementMesh, a: u32, b: u32, shell: &[u32]) -> Vec<Side> {
     if !mesh.is_surface_edge(a, b, shell) {
@@ -310,8 +329,12 @@ fn sides_of_edge(mesh: &ImprovementMesh, a: u32, b: u32, shell: &[u32]) -> Vec<S
     let is_open = !shell.iter().all(|t| inside(&t)) || mesh.ring(a, b, shell).is_none();
     let mut sides: Vec<Side> = shell.iter().filter(inside).map(|t| Side::Label(mesh.labels[*t as usize])).collect();
     if is_open {
-        let outside = |s: &&Side| matches!(s, Side::Border(_)) || **s == Side::Label(Label::BACKGROUND);
-        sides.extend(mesh.sides(a).iter().filter(outside).filter(|s| mesh.sides(b).contains(s)));
+        // Behind an open face is the border where all its vertices are on it, else the background.
+        for face in mesh.surface_faces(a).iter().filter(|f| f.outer.is_none() && f.others.contains(&b)) {
+            let is_on = |side: &&Side| face.others.iter().all(|v| mesh.sides(*v).contains(side));
+            let border = mesh.sides(a).iter().filter(|s| matches!(s, Side::Border(_))).find(is_on);
+            sides.push(border.copied().unwrap_or(Side::Label(Label::BACKGROUND)));
+        }
     }
     sides.sort_unstable();
     sides.dedup();
@@ -378,12 +401,10 @@ fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool
     let flat = before[0].dot(before[1]) > SMALLEST_NORMAL_COSINE
         && after[0].dot(after[1]) > SMALLEST_NORMAL_COSINE
         && before[0].dot(after[0]).abs() > SMALLEST_NORMAL_COSINE;
-    // Two labels only meet at a b and one at c d, so no junction line is touched; the image border keeps its own edges.
-    let at_border = |v: u32| mesh.sides(v).iter().any(|s| matches!(s, Side::Border(_)));
-    let must_stay = |v: u32| mesh.fixed[v as usize] || at_border(v) && mesh.sides(v).len() > 2;
-    if !flat || [a, b, c, d].into_iter().any(must_stay) {
+    if !flat || [a, b, c, d].iter().any(|v| mesh.sides(*v).len() > 2 || mesh.fixed[*v as usize]) {
         return false;
     }
+    let before_turn = mesh.score(t);
     match behind {
         [None, None] => {
             // Outside of the mesh: nothing is left to be flat. Both ends keep other tets, or they would be lost.
@@ -399,13 +420,13 @@ fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool
                 return false;
             }
             mesh.labels[t as usize] = other;
-            let score = lowest_shape(mesh, &[t]);
+            let score = mesh.score(t);
             if remove_edge(mesh, a, b, score) {
                 return true;
             }
             // A scaffold may be flat, and the ends of the edge keep other tets, or they would be lost.
             let is_used = |v: u32| mesh.ball(v).iter().any(|n| mesh.part(*n) == Part::Mesh);
-            if part_of(other) == Part::Scaffold && score >= SCAFFOLD_ANGLE && is_used(a) && is_used(b) {
+            if part_of(other) == Part::Scaffold && score > before_turn + LEAST_GAIN && is_used(a) && is_used(b) {
                 return true;
             }
             mesh.labels[t as usize] = label;

@@ -33,6 +33,8 @@ pub mod lattice_improvement;
 pub mod local_transformations;
 pub mod mesh_regions;
 pub mod mixed_elements;
+#[cfg(test)]
+mod option_effects_tests;
 pub mod options;
 pub mod red_green;
 pub mod red_green_tables;
@@ -252,7 +254,32 @@ fn longest_side(image: &LabelImage) -> f64 {
     (DVec3::from_array(grid.size().map(|s| s as f64)) * grid.spacing()).max_element()
 }
 
-/// The thesis's spacing, smaller for small images.
+/// The thesis's spacing, smaller for small images, moved by a factor of at most the root of two so that halving it ends
+/// where boundaries are resolved: a step that lands a little above that is halved once more, for eight times the elements.
 fn adapted_spacing(image: &LabelImage) -> f64 {
-    DEFAULT_SPACING.min(longest_side(image) / CUBES_ALONG_IMAGE)
+    let wanted = DEFAULT_SPACING.min(longest_side(image) / CUBES_ALONG_IMAGE);
+    let voxel = (image.grid().spacing().length_squared() / 3.0).sqrt();
+    let resolved = subdivision_criteria::RESOLVED_EDGE * voxel;
+    resolved * (wanted / resolved).log2().round().exp2()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::grid::Grid;
+    use crate::index::Label;
+    use glam::DMat3;
+
+    #[test]
+    fn the_spacing_halves_to_edges_of_two_voxels_whatever_the_voxel() {
+        for voxel in [0.7, 0.93, 0.94, 1.0, 1.06, 1.9] {
+            let grid = Grid::new([96; 3], DVec3::splat(voxel), DVec3::ZERO, DMat3::IDENTITY).unwrap();
+            let image = LabelImage::new(grid, vec![Label(1); 96 * 96 * 96], vec![0, 1]).unwrap();
+            let spacing = adapted_spacing(&image);
+            let halvings = (spacing / (2.0 * voxel)).log2();
+            assert!((halvings - halvings.round()).abs() < 1e-9, "{voxel}: {spacing}");
+            let wanted = (8.0 * voxel).min(8.0);
+            assert!((spacing / wanted).log2().abs() <= 0.5 + 1e-9, "{voxel}: {spacing}");
+        }
+    }
 }

@@ -74,7 +74,7 @@ pub const PARAMETERS: Table = &[
         "Seed of the template choice of check-image-topology; the same seed gives the same mesh."),
     // --- lattice
     row("lattice-spacing", "latticeSpacing", above(0.0, INF), Default::Real(8.0), "mm", "Lattice",
-        "Edge length of the coarsest lattice cubes, and so of the largest elements. Where it is not given it shrinks to a twelfth of the longest side of the image."),
+        "Edge length of the coarsest lattice cubes, and so of the largest elements. Where it is not given it shrinks to a twelfth of the longest side of the image, and is moved by up to 41 % so that halving it leads to edges of two voxels."),
     times(row("fidelity", "", real(0.1, 1.0), Default::Real(0.8), "", "Lattice",
         "Smallest share of voxels on which mesh and image agree, for every label (F1 and F2); can be given per label. Higher means finer elements at the boundaries."), Multiplicity::PerLabel),
     row("multiple-fidelities", "", Kind::InputFile { extensions: &[".txt"] }, Default::Unset, "", "Lattice",

@@ -7,7 +7,7 @@
 //!    centroid and its vertices, when it holds voxels that such a label lacks, when it holds voxels of a lost
 //!    component, or when it is larger than its label allows.
 //! 4. A leaf is marked as well where the signed distance of a label bends within it: the interpolation between its
-//!    vertices misses the distance in the middle of an edge, or at the centroid, by more than the tolerance.
+//!    vertices misses the distance at a sample by more than the tolerance; samples are dense enough for thin rods.
 //!    Straight elements cannot follow the boundary there, however many voxels they agree on: walls and gaps
 //!    thinner than the element, tips, strong curvature. It ends at elements of two voxels.
 //!
@@ -20,6 +20,7 @@
 //! in tatters at a fidelity of 0.8; the error of interpolation ([LabelleShewchuk2007] asks for small elements where
 //! features are) finds such places.
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
@@ -30,7 +31,6 @@ use crate::lattice::bcc_lattice::TET_RADIUS;
 use crate::lattice::options::Options;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::voxel_fidelity::{LabelCount, Mismatch};
-use crate::mesh::numbering::TET_EDGES;
 
 /// Finest elements against the smallest voxel spacing. Below 1 every voxel centre lies in an element of its own
 /// label, so any fidelity is reached; one level more leaves room for the relabelling of the candidate mesh.
@@ -42,7 +42,13 @@ const SMALLEST_CAVITY: u64 = 8;
 /// The tolerance of boundaries refines no leaf with edges up to this, in voxels: the distance of voxel centres
 /// is right within half a voxel only, so finer elements would follow the staircase. On an atlas of 116 regions with
 /// rough borders, 1.25 instead of 2 made 18 instead of 2.3 million tets, and nothing better on smooth shapes.
-const RESOLVED_EDGE: f64 = 2.0;
+pub const RESOLVED_EDGE: f64 = 2.0;
+
+/// Distance of the samples that look for bends, in voxels: a rod of two voxels between them is met.
+const SAMPLED_LENGTH: f64 = 1.5;
+
+/// Parts of an edge at most; elements of more than twelve voxels are sampled more coarsely, their children are not.
+const MOST_PARTS: usize = 8;
 
 /// What is asked of each label, by compact label.
 #[derive(Debug, Clone)]
@@ -208,9 +214,10 @@ fn misses_boundary(lattice: &RedGreenLattice, tet: &[u32; 4], level: u8, targets
         return false;
     }
     let corners = tet.map(|v| lattice.frame.local(lattice.vertices.positions[v as usize]));
-    let middles = TET_EDGES.map(|[a, b]| 0.5 * (corners[a] + corners[b]));
+    let samples = sample_weights(edge / field.voxel_size());
+    let place = |weights: &[f64; 4]| (0..4).map(|i| weights[i] * corners[i]).sum::<DVec3>();
     let mut labels: Vec<Label> = tet.iter().map(|v| lattice.vertices.labels[*v as usize]).collect();
-    labels.extend(middles.iter().chain([&centroid]).map(|p| field.label_at(*p)));
+    labels.extend(samples.iter().map(|w| field.label_at(place(w))));
     labels.sort_unstable();
     labels.dedup();
     // Of two labels one is enough: the distances differ in sign only.
@@ -220,15 +227,56 @@ fn misses_boundary(lattice: &RedGreenLattice, tet: &[u32; 4], level: u8, targets
             return false;
         }
         let at_corners = corners.map(|p| field.signed_distance(p, *label));
-        let at_middles = middles.map(|p| field.signed_distance(p, *label));
-        let at_centroid = field.signed_distance(centroid, *label);
-        let all = || at_corners.iter().chain(&at_middles).chain([&at_centroid]);
-        if all().all(|d| *d > 0.0) || all().all(|d| *d <= 0.0) {
-            return false;
+        let (mut any_inside, mut any_outside) = (false, false);
+        at_corners.iter().for_each(|d| if *d > 0.0 { any_inside = true } else { any_outside = true });
+        let mut bends = false;
+        for weights in &samples {
+            let distance = field.signed_distance(place(weights), *label);
+            if distance > 0.0 {
+                any_inside = true
+            } else {
+                any_outside = true
+            }
+            let straight: f64 = weights.iter().zip(&at_corners).map(|(w, d)| w * d).sum();
+            bends |= (distance - straight).abs() > tolerance;
+            if bends && any_inside && any_outside {
+                return true;
+            }
         }
-        let straight = |[a, b]: [usize; 2]| 0.5 * (at_corners[a] + at_corners[b]);
-        let bends = |(edge, middle): (&[usize; 2], f64)| (middle - straight(*edge)).abs() > tolerance;
-        TET_EDGES.iter().zip(at_middles).any(bends)
-            || (at_centroid - 0.25 * at_corners.iter().sum::<f64>()).abs() > tolerance
+        false
     })
+}
+
+/// Barycentric weights of the samples in a leaf whose edge is that many voxels long: the centroid, and the points that
+/// divide the edges into parts of `SAMPLED_LENGTH` or less, at least the middles.
+fn sample_weights(edge: f64) -> Vec<[f64; 4]> {
+    let parts = ((edge / SAMPLED_LENGTH).ceil() as usize).clamp(2, MOST_PARTS);
+    let mut samples = vec![[0.25; 4]];
+    for a in 0..=parts {
+        for b in 0..=parts - a {
+            for c in 0..=parts - a - b {
+                let steps = [a, b, c, parts - a - b - c];
+                if !steps.contains(&parts) {
+                    samples.push(steps.map(|s| s as f64 / parts as f64));
+                }
+            }
+        }
+    }
+    samples
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_of_a_leaf_stand_closer_than_a_thin_rod_is_wide() {
+        for edge in [2.5, 4.0, 8.0] {
+            let samples = sample_weights(edge);
+            assert!(samples.iter().all(|w| (w.iter().sum::<f64>() - 1.0).abs() < 1e-12));
+            // The corners are known, all other steps along an edge are sampled.
+            let on_first_edge = samples.iter().filter(|w| w[2] == 0.0 && w[3] == 0.0).count();
+            assert!(edge / (on_first_edge + 1) as f64 <= SAMPLED_LENGTH);
+        }
+    }
 }
