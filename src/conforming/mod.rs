@@ -51,6 +51,8 @@ mod reconnection_stress_tests;
 #[cfg(test)]
 mod recovery_tests;
 #[cfg(test)]
+mod sizing_tests;
+#[cfg(test)]
 pub(crate) mod test_surfaces;
 #[cfg(test)]
 mod tests;

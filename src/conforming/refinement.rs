@@ -2,13 +2,17 @@
 //!
 //! # Method
 //! 1. Sizes of the boundary vertices from the boundary edges; every tet is active.
-//! 2. While points are accepted: deactivate satisfied tets (`front`), create candidates (`point_placement`), reject
+//! 2. While points are accepted, ahead of the front or, where it rests, at the centres of tets far too large: deactivate satisfied tets (`front`), create candidates (`point_placement`), reject
 //!    (`point_filter`), insert with in-sphere reconnection (`vertex_insertion`), then reconnect what changed by the
 //!    second objective (`local_reconnection`).
 //!
 //! # Source
 //! [Drakopoulos2017] 4.7.1; B.3 `cdf`, `cdfm`, `cdfr`, `cdfn`, `cdff`, `angmax`, `dfmax`, `mrecm`, `mrecm2`, `mrec4`,
 //! `ngen`, `nminpts`.
+//!
+//! # Differences
+//! The thesis ends with the front. Where sizes are smaller than the boundary's edges, or parts thinner than their edges
+//! are long, the front never leaves the boundary.
 //!
 //! # Invariants
 //! Constrained faces and edges stay; the mesh is valid after every step. One thread: the same bits every time.
@@ -136,6 +140,7 @@ pub fn refine(
     let mut clearances = clearances(complex.points(), &boundary_triangles(complex), sizes, options.size_factor);
     let mut total = Round::default();
     let mut rounds = 0;
+    let mut places = Places::Front;
     let known = complex.vertex_count();
     let mut next_renumbering = SMALLEST_RENUMBERING.max(GROWTH_OF_RENUMBERING * complex.live_count());
     while rounds < options.maximum_passes {
@@ -151,6 +156,7 @@ pub fn refine(
             &mut active,
             &mut unused,
             room,
+            places,
         )?;
         rounds += 1;
         total.created += round.created;
@@ -166,8 +172,16 @@ pub fn refine(
             break;
         }
         if round.inserted < options.minimum_points.max(1) {
-            break;
+            if places == Places::Centers {
+                break;
+            }
+            // The front has come to rest; tets that it did not reach may still be far too large.
+            places = Places::Centers;
+            clear_rest(complex);
+            active = complex.finite_tets().filter(|&tet| !complex.flags(tet).has_user_bit(SATISFIED)).collect();
+            continue;
         }
+        places = Places::Front;
         if complex.live_count() > next_renumbering {
             next_renumbering = GROWTH_OF_RENUMBERING * complex.live_count();
             let renumbering = context.install(|| complex.renumber_along_curve(known))?;
@@ -285,6 +299,38 @@ fn report_stop(complex: &TetComplex, limit: usize, context: &RunContext) {
     context.report(Finding::new(FindingCode::Other, Severity::Warning, text));
 }
 
+/// Where the points of a round come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Places {
+    /// Ahead of the front.
+    Front,
+    /// The centres of tets that the front did not reach: it stops where the boundary's edges are longer than the sizes
+    /// (no tet there is ever satisfied) or where its points are too close to another part of the boundary.
+    Centers,
+}
+
+/// Edges longer than this many times the average size of their ends are out of the range that meshes are judged by.
+const FAR_TOO_LONG: f64 = 2.0;
+
+fn centers_of_large(complex: &TetComplex, sizes: &[f64], active: &[TetId]) -> Vec<Candidate> {
+    let tolerated = Satisfaction::new(FAR_TOO_LONG, 180.0);
+    let place = |&tet: &TetId| {
+        let (corners, corner_sizes) = (complex.points_of(tet), corner_sizes(complex, sizes, tet));
+        let point = corners.iter().sum::<DVec3>() / 4.0;
+        let scale = corner_sizes.iter().sum::<f64>() / 4.0;
+        (!tolerated.is_short(corners, corner_sizes)).then_some(Candidate { point, scale, tet })
+    };
+    active.par_iter().with_min_len(1024).filter_map(place).collect()
+}
+
+fn clear_rest(complex: &mut TetComplex) {
+    for tet in (0..complex.slot_count()).map(TetId::from_index) {
+        if complex.is_live(tet) {
+            complex.set_flags(tet, complex.flags(tet).with_user_bit(RESTING, false));
+        }
+    }
+}
+
 fn clear_marks(complex: &mut TetComplex) {
     for tet in (0..complex.slot_count()).map(TetId::from_index) {
         if !complex.is_live(tet) {
@@ -306,6 +352,7 @@ fn refine_round(
     active: &mut Vec<TetId>,
     unused: &mut Vec<VertexId>,
     room: usize,
+    places: Places,
 ) -> Result<Round> {
     if !options.group_active {
         active.clear();
@@ -320,7 +367,10 @@ fn refine_round(
     let mut round = Round::default();
     context.install(|| deactivate(complex, sizes, satisfaction, active));
     round.active = active.len();
-    let candidates = context.install(|| create_candidates(complex, sizes, active, &placement));
+    let candidates = context.install(|| match places {
+        Places::Front => create_candidates(complex, sizes, active, &placement),
+        Places::Centers => centers_of_large(complex, sizes, active),
+    });
     round.created = candidates.len();
     let accepted = context.install(|| filter(complex, (sizes, clearances), field, options, &candidates))?;
     drop(candidates);
