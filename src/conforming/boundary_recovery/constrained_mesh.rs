@@ -63,8 +63,13 @@ pub struct ConstrainedMesh {
     pub cavities: [usize; 2],
     /// Whether reconnections keep subfaces; while edges are recovered only segments are kept.
     pub keeps_faces: bool,
+    /// What undoes the changes of the trial under way.
+    trial: Option<Vec<Undo>>,
     ball: Vec<TetId>,
 }
+
+/// The rows of the tets that a change replaced, and the tets that it made.
+type Undo = (Vec<[VertexId; 4]>, Vec<TetId>);
 
 /// The key of an edge.
 #[inline]
@@ -292,6 +297,7 @@ impl ConstrainedMesh {
         if !paired || faces.windows(3).any(|three| three[0].0 == three[2].0) {
             return Ok(None);
         }
+        let rows = self.trial.as_ref().map(|_| old.iter().map(|&tet| self.complex.vertices(tet)).collect());
         for &tet in old {
             self.complex.delete_tet(tet);
         }
@@ -313,7 +319,34 @@ impl ConstrainedMesh {
             }
         }
         self.reconnections += 1;
+        if let (Some(trial), Some(rows)) = (&mut self.trial, rows) {
+            trial.push((rows, ids.clone()));
+        }
         Ok(Some(ids))
+    }
+
+    /// Begins a trial: [`Self::end_trial`] keeps or undoes what is changed until then.
+    pub fn begin_trial(&mut self) {
+        self.trial = Some(Vec::new());
+    }
+
+    /// Ends the trial under way. Points added since are left to the caller.
+    ///
+    /// # Errors
+    /// As [`TetStore::create_tet`].
+    pub fn end_trial(&mut self, keep: bool) -> Result<()> {
+        let changes = self.trial.take().unwrap_or_default();
+        if keep {
+            return Ok(());
+        }
+        // Slots are given out last freed first: in reverse order every change gets the ids it had.
+        for (mut rows, mut ids) in changes.into_iter().rev() {
+            rows.reverse();
+            ids.reverse();
+            let undone = self.replace(&ids, &rows)?;
+            debug_assert!(undone.is_some(), "the tets of a change have the border of what they replaced");
+        }
+        Ok(())
     }
 }
 

@@ -119,12 +119,14 @@ fn plan_ring(
                     worst = worst.min(shape(mesh, [p, r, q, u]));
                 }
                 let total = before + if worst > 0.0 { met([p, q, r]) } else { 0 };
+                if total > 0 { continue; }
                 if worst > 0.0 && (total < found.met || (total == found.met && worst > found.shape)) {
                     found = Cut { met: total, shape: worst, middle: j };
                 }
             }
             if found.shape > 0.0 && length < n - 1 {
                 found.met += met([ring[i], ring[k], u]) + met([ring[i], ring[k], v]);
+                if found.met > 0 { found = none; }
             }
             best[i * n + k] = found;
         }
