@@ -70,18 +70,14 @@ pub fn plan_removal(mesh: &ConstrainedMesh, u: VertexId, v: VertexId, limit: usi
     plan_ring([u, v], mesh, &old, &ring, None)
 }
 
-/// Where a span of the ring is cut, and what that costs.
+/// Where a span of the ring is cut, and the worst shape that leaves.
 #[derive(Clone, Copy)]
 struct Cut {
-    /// New faces that the aim's segment meets.
-    met: u32,
-    /// Worst shape.
     shape: f64,
     middle: usize,
 }
 
-/// The triangulation of the ring whose tets are all positive, with the fewest faces that the segment `aim` meets, and
-/// then the best worst tet.
+/// The triangulation of the ring with the best worst tet, all positive, without a new face that the segment `aim` meets.
 fn plan_ring(
     [u, v]: [VertexId; 2],
     mesh: &ConstrainedMesh,
@@ -97,36 +93,33 @@ fn plan_ring(
         aim.is_some_and(|[a, b]| {
             let free = !face.contains(&a) && !face.contains(&b);
             free && segment_meets_triangle(mesh.at(a), mesh.at(b), face.map(|v| mesh.at(v)))
-        }) as u32
+        })
     };
-    let none = Cut { met: u32::MAX, shape: 0.0, middle: usize::MAX };
+    let none = Cut { shape: 0.0, middle: usize::MAX };
     // best[i * n + k]: the best triangulation of p_i ... p_k.
-    let mut best = vec![Cut { met: 0, shape: f64::INFINITY, middle: 0 }; n * n];
+    let mut best = vec![Cut { shape: f64::INFINITY, middle: 0 }; n * n];
     for length in 2..n {
         for i in 0..n - length {
             let k = i + length;
             let mut found = none;
+            let inner = length < n - 1;
+            if inner && (met([ring[i], ring[k], u]) || met([ring[i], ring[k], v])) {
+                best[i * n + k] = none;
+                continue;
+            }
             for j in i + 1..k {
-                let (left, right) = (best[i * n + j], best[j * n + k]);
-                let sides = left.shape.min(right.shape);
-                let before = left.met.saturating_add(right.met);
-                if sides <= 0.0 || before > found.met || (before == found.met && sides <= found.shape) {
+                let sides = best[i * n + j].shape.min(best[j * n + k].shape);
+                if sides <= found.shape {
                     continue;
                 }
                 let (p, q, r) = (ring[i], ring[j], ring[k]);
                 let mut worst = sides.min(shape(mesh, [p, q, r, v]));
-                if worst > 0.0 {
+                if worst > found.shape {
                     worst = worst.min(shape(mesh, [p, r, q, u]));
                 }
-                let total = before + if worst > 0.0 { met([p, q, r]) } else { 0 };
-                if total > 0 { continue; }
-                if worst > 0.0 && (total < found.met || (total == found.met && worst > found.shape)) {
-                    found = Cut { met: total, shape: worst, middle: j };
+                if worst > found.shape && !met([p, q, r]) {
+                    found = Cut { shape: worst, middle: j };
                 }
-            }
-            if found.shape > 0.0 && length < n - 1 {
-                found.met += met([ring[i], ring[k], u]) + met([ring[i], ring[k], v]);
-                if found.met > 0 { found = none; }
             }
             best[i * n + k] = found;
         }
@@ -212,12 +205,12 @@ pub struct Reach {
     pub depth: usize,
     /// Most tets around an edge.
     pub ring: usize,
-    /// A segment that new faces should keep clear of.
+    /// A segment that new faces keep clear of.
     pub aim: Option<[VertexId; 2]>,
 }
 
 /// Removes the edge u v, if need be after removing up to `depth` levels of edges at its ends, with backtracking. `tries`
-/// bounds the edges looked at. Where that fails, the mesh is as it was; with an aim, the ring may be shorter.
+/// bounds the edges looked at. Where that fails, the mesh is as it was; with an aim, rings may be shorter.
 ///
 /// # Errors
 /// As [`TetStore::create_tet`].
@@ -299,8 +292,9 @@ impl Removal<'_> {
             if self.remove(mesh, [u, v])? {
                 return Ok(true);
             }
-            // A shorter ring is progress on the way to a segment, though the edge is still there.
-            if self.open.is_empty() && self.reach.aim.is_some() {
+            // A shorter ring is progress on the way to a segment, though the edge is still there: later passes start
+            // from it, and as no change puts anything new into the way they cannot turn back.
+            if self.reach.aim.is_some() {
                 return Ok(false);
             }
             self.journal.take_back(mesh, mark)?;

@@ -2,7 +2,8 @@
 //!
 //! # Method
 //! 1. Missing edges are recovered by local reconnections, with efforts that grow; no face is kept yet.
-//! 2. Edges that resist get points in the volume beside them (`edge_bridging`); where that fails they are split.
+//! 2. Edges that constraints lock get a point between these (`volume_points`), then points beside them
+//!    (`edge_bridging`); where that fails they are split.
 //! 3. Missing faces are recovered by local reconnections; those that resist are split (`steiner_points`).
 //! 4. The Steiner points are taken off the surface again (`partition_elimination`), into the volume where need be.
 //! 5. Those in the volume are removed as far as possible (`steiner_removal`).
@@ -86,8 +87,7 @@ fn efforts(options: &Options) -> [Effort; 4] {
 fn edge_efforts(options: &Options) -> Vec<Effort> {
     let first = efforts(options)[0];
     let deepest = 2 * options.recursion_depth;
-    let depths = [1, 2, 3].into_iter().filter(|&depth| depth <= deepest);
-    let passes = depths.map(|depth| Effort { depth, tries: TRIES, tets: 0, ..first });
+    let passes = (1..=deepest).map(|depth| Effort { depth, tries: TRIES, tets: 0, ..first });
     std::iter::once(first).chain(passes).collect()
 }
 
@@ -189,18 +189,9 @@ fn recover_all_edges(
             if missing.is_empty() {
                 return Ok(());
             }
-            let n0 = missing.len(); let t0 = Instant::now(); let r0 = mesh.reconnections;
             missing = edge_recovery::recover_edges(mesh, missing, effort, context)?;
-            if std::env::var("DBG").is_ok() { eprintln!("DBG depth {} tries {} grow {}: {n0} -> {} in {:.2} s, {} rec", effort.depth, effort.tries, effort.grow, missing.len(), t0.elapsed().as_secs_f64(), mesh.reconnections - r0); }
         }
-        for round in 0..20 {
-            let t0 = Instant::now(); let n0 = missing.len(); let v0 = mesh.volume_points.len();
-            missing = volume_points::unlock_edges(mesh, missing, &efforts[2], context)?;
-            if std::env::var("DBG").is_ok() { eprintln!("DBG unlock {n0} -> {} in {:.2} s, points {}", missing.len(), t0.elapsed().as_secs_f64(), mesh.volume_points.len() - v0); }
-            if missing.len() == n0 || missing.is_empty() { break; }
-        }
-        let t0 = Instant::now(); let n0 = missing.len();
-        if std::env::var("DBG").is_ok() { let mut h = [0; 8]; for e in &missing { let n = crossings::trace(mesh, e[0], e[1]).map_or(0, |p| p.crossing_count()); h[n.min(7)] += 1; } eprintln!("DBG crossings {h:?}"); }
+        missing = volume_points::unlock_edges(mesh, missing, &efforts[2], context)?;
         let mut next = Vec::new();
         for edge in missing {
             context.check()?;
@@ -221,7 +212,6 @@ fn recover_all_edges(
         }
         next.sort_unstable();
         next.dedup();
-        if std::env::var("DBG").is_ok() { eprintln!("DBG bridge {n0} -> {} in {:.2} s", next.len(), t0.elapsed().as_secs_f64()); }
         next.retain(|e| mesh.is_segment(e[0], e[1]));
         missing = next;
     }
@@ -254,7 +244,6 @@ fn recover_all_faces(
             continue;
         }
         let face = missing[0];
-        if std::env::var("DBG").is_ok() { eprintln!("DBG faces missing {}", missing.len()); }
         if volume_points::free_face(mesh, face) {
             missing = mesh.missing_subfaces();
             continue;

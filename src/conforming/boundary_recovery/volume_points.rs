@@ -1,111 +1,247 @@
-//! Recovers edges with few points in the volume, where constraints lock each other.
+//! Recovers edges that constraints lock, with few points in the volume.
+//!
+//! # Method
+//! Segments that turn around each other, as the diagonals of a twisted prism, leave no room for the last of them.
+//! ```text
+//!     a------c          a b is missing, c d is a segment near it on another plane. A point s between them sees both:
+//!      \  s             joined to what is around it, it opens the knot for a b, and often for its neighbours.
+//!     d------b
+//! ```
+//! 1. The missing edge is tried once more: a point for one edge often serves the next ones.
+//! 2. Else the segments in and beside the crossed tets are taken, nearest first; s is the middle of the shortest way.
+//! 3. s is inserted, and the edge recovered by reconnections; where that fails everything is undone.
+//!
+//! # Source
+//! [Si2015] for points in the volume between segments that lock each other; the trial with undoing: ours.
+//!
+//! # Invariants
+//! Only segments out of the plane of the edge count, so that s keeps off facets between the two. A point that lies
+//! exactly on another facet is moved off it when that facet is wanted (`free_face`).
+
+use glam::DVec3;
 
 use super::Effort;
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey, edge_key};
-use crate::geometry::{intersection::segment_meets_triangle, predicates::orient3d};
 use super::crossings::tets_along;
 use super::edge_recovery::recover_edge;
 use super::steiner_points::insert_point;
 use crate::context::RunContext;
 use crate::error::Result;
-use crate::index::{TetFace, TetId};
+use crate::geometry::predicates::orient3d;
+use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_EDGES;
 use crate::mesh::tet_store::TetStore;
-use glam::DVec3;
 
-pub fn unlock_edges(mesh: &mut ConstrainedMesh, missing: Vec<EdgeKey>, effort: &Effort, context: &RunContext) -> Result<Vec<EdgeKey>> {
-    let mut left = Vec::new();
-    for edge in missing {
-        context.check()?;
-        if !recover_edge(mesh, edge, effort)? && !unlock_edge(mesh, edge, effort)? {
-            left.push(edge);
+/// Places tried for one edge; 30 recover some more, at 1.6 times the cost.
+const MOST_PLACES: usize = 8;
+/// Passes over the missing edges.
+const MOST_PASSES: usize = 10;
+/// Lines closer than this share of the distance of the segments lie nearly in one plane.
+const LEAST_GAP: f64 = 0.05;
+/// Share of a segment at its ends that places keep off: a point there makes a short edge.
+const END_SHARE: f64 = 0.05;
+/// Halvings of the way by which a point leaves a face.
+const MOST_HALVINGS: i32 = 40;
+
+/// Recovers what can be recovered of `missing` with one point each at most; returns what is still missing.
+///
+/// # Errors
+/// `Cancelled`, `LimitReached`, and those of vertex and tet creation.
+pub fn unlock_edges(
+    mesh: &mut ConstrainedMesh,
+    mut missing: Vec<EdgeKey>,
+    effort: &Effort,
+    context: &RunContext,
+) -> Result<Vec<EdgeKey>> {
+    for _ in 0..MOST_PASSES {
+        let before = missing.len();
+        let mut left = Vec::new();
+        for edge in missing {
+            context.check()?;
+            if !recover_edge(mesh, edge, effort)? && !unlock_edge(mesh, edge, effort)? {
+                left.push(edge);
+            }
+        }
+        missing = left;
+        // A pass that recovers little is not worth another one.
+        if missing.is_empty() || 10 * (before - missing.len()) < before {
+            break;
         }
     }
-    Ok(left)
+    Ok(missing)
 }
 
 fn unlock_edge(mesh: &mut ConstrainedMesh, edge: EdgeKey, effort: &Effort) -> Result<bool> {
     let Some(tets) = tets_along(mesh, edge[0], edge[1]) else { return Ok(true) };
-    let mut places = places_for(mesh, edge, &tets);
-    let n = std::env::var("NP").ok().and_then(|v| v.parse().ok()).unwrap_or(8);
-    places.truncate(n);
-    for place in places {
+    for place in places_between(mesh, edge, &tets) {
         let count = mesh.complex.points().len();
         mesh.begin_trial();
-        let Some(hint) = mesh.ball(edge[0]).first().copied() else { mesh.end_trial(true)?; return Ok(false) };
+        let hint = mesh.complex.tet_of(edge[0]);
         let steiner = insert_point(mesh, place, hint)?;
-        let recovered = match steiner { Some(_) => recover_edge(mesh, edge, effort)?, None => false };
+        let recovered = steiner.is_some() && recover_edge(mesh, edge, effort)?;
         mesh.end_trial(recovered)?;
-        if let Some(steiner) = steiner {
-            if recovered { mesh.volume_points.push(steiner); return Ok(true); }
-            mesh.complex.truncate_points(count);
+        let Some(steiner) = steiner else { continue };
+        if recovered {
+            mesh.volume_points.push(steiner);
+            return Ok(true);
         }
+        mesh.complex.set_tet_of(steiner, TetId::NONE);
+        mesh.complex.truncate_points(count);
     }
     Ok(false)
 }
 
-fn places_for(mesh: &ConstrainedMesh, edge: EdgeKey, tets: &[TetId]) -> Vec<DVec3> {
+/// Places between the edge and the segments in and beside the tets, nearest segment first.
+fn places_between(mesh: &ConstrainedMesh, edge: EdgeKey, tets: &[TetId]) -> Vec<DVec3> {
     let mut region = tets.to_vec();
     for &tet in tets {
-        for face in 0..4 {
-            let other = mesh.complex.neighbor(TetFace::new(tet, face));
-            if other != TetFace::NONE && !mesh.complex.is_ghost_tet(other.tet()) { region.push(other.tet()); }
-        }
+        let others = (0..4).map(|face| mesh.complex.neighbor(TetFace::new(tet, face)));
+        region.extend(others.filter(|&other| other != TetFace::NONE).map(TetFace::tet));
     }
     let mut segments: Vec<EdgeKey> = Vec::new();
     for &tet in &region {
         let v = mesh.complex.vertices(tet);
-        for [i, j] in TET_EDGES {
-            let key = edge_key(v[i], v[j]);
-            if mesh.is_segment(v[i], v[j]) && !edge.contains(&key[0]) && !edge.contains(&key[1]) { segments.push(key); }
+        let keys = TET_EDGES.map(|[i, j]| edge_key(v[i], v[j]));
+        segments
+            .extend(keys.into_iter().filter(|k| mesh.is_segment(k[0], k[1]) && k.iter().all(|v| !edge.contains(v))));
+    }
+    segments.sort_unstable();
+    segments.dedup();
+    let ends = edge.map(|v| mesh.at(v));
+    let mut places: Vec<(f64, DVec3)> = Vec::new();
+    for segment in segments {
+        let others = segment.map(|v| mesh.at(v));
+        let [p, q] = closest_points(ends, others);
+        let distance = p.distance(q);
+        let normal = (ends[1] - ends[0]).cross(others[1] - others[0]).normalize_or_zero();
+        if normal.dot(others[0] - ends[0]).abs() > LEAST_GAP * distance {
+            places.push((distance, 0.5 * (p + q)));
         }
     }
-    segments.sort_unstable(); segments.dedup();
-    let [a, b] = edge.map(|v| mesh.at(v));
-    let mut found: Vec<(f64, DVec3)> = segments.iter().map(|e| {
-        let [c, d] = e.map(|v| mesh.at(v));
-        let (p, q) = closest(a, b, c, d);
-        let normal = (b - a).cross(d - c).normalize_or_zero();
-        let gap = normal.dot(c - a).abs();
-        let distance = p.distance(q);
-        (if gap > 0.05 * distance { distance } else { 0.0 }, 0.5 * (p + q))
-    }).filter(|(d, _)| *d > 0.0).collect();
-    found.sort_by(|l, r| l.0.total_cmp(&r.0));
-    found.into_iter().map(|f| f.1).collect()
+    places.sort_by(|l, r| l.0.total_cmp(&r.0));
+    places.truncate(MOST_PLACES);
+    places.into_iter().map(|(_, place)| place).collect()
 }
 
-/// Points of the segments closest to each other.
-fn closest(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> (DVec3, DVec3) {
+/// Nearly the points of two segments that are closest to each other, off the ends.
+fn closest_points([a, b]: [DVec3; 2], [c, d]: [DVec3; 2]) -> [DVec3; 2] {
     let (u, v, w) = (b - a, d - c, a - c);
     let (uu, uv, vv, uw, vw) = (u.dot(u), u.dot(v), v.dot(v), u.dot(w), v.dot(w));
-    let det = uu * vv - uv * uv;
-    let mut s = if det > 0.0 { ((uv * vw - vv * uw) / det).clamp(0.05, 0.95) } else { 0.5 };
-    let t = ((uv * s + vw) / vv).clamp(0.05, 0.95);
-    s = ((uv * t - uw) / uu).clamp(0.05, 0.95);
-    (a + u * s, c + v * t)
+    let inner = |share: f64| share.clamp(END_SHARE, 1.0 - END_SHARE);
+    let determinant = uu * vv - uv * uv;
+    let s = if determinant > 0.0 { inner((uv * vw - vv * uw) / determinant) } else { 0.5 };
+    let t = inner((uv * s + vw) / vv);
+    [a + u * inner((uv * t - uw) / uu), c + v * t]
 }
 
-/// Moves points of the volume out of a face that is missing; whether one was moved.
+/// Moves points of the volume that lie in a missing face off its plane; whether one was moved.
 pub fn free_face(mesh: &mut ConstrainedMesh, face: FaceKey) -> bool {
-    let corners = face.map(|v| mesh.at(v));
-    let [a, b, c] = corners;
+    let [a, b, c] = face.map(|v| mesh.at(v));
     let normal = (b - a).cross(c - a).normalize_or_zero();
+    // A point on the border of the face may be off it by rounding; to move one too many does no harm.
+    let slack = DVec3::splat(1e-9 * (b - a).length().max((c - a).length()));
+    let (low, high) = (a.min(b).min(c) - slack, a.max(b).max(c) + slack);
     let mut moved = false;
     for vertex in mesh.volume_points.clone() {
         let place = mesh.at(vertex);
-        if orient3d(a, b, c, place) != 0.0 || !segment_meets_triangle(place - normal, place + normal, corners) {
-            continue;
-        }
-        let front = mesh.shape_of(&mesh.ball(vertex)).front;
-        if front.iter().flatten().any(|v| v.is_ghost()) { continue; }
-        let faces: Vec<[DVec3; 3]> = front.iter().map(|f| f.map(|v| mesh.at(v))).collect();
-        let size = faces.iter().flatten().map(|p| p.distance(place)).fold(0.0, f64::max);
-        let steps = (1..40).flat_map(|i| [1.0, -1.0].map(|sign| place + normal * (sign * size * 0.5_f64.powi(i))));
-        let sees = |x: DVec3| faces.iter().all(|&[a, b, c]| orient3d(a, b, c, x) > 0.0);
-        if let Some(free) = steps.into_iter().find(|&x| orient3d(a, b, c, x) != 0.0 && sees(x)) {
-            mesh.complex.set_point(vertex, free);
-            moved = true;
+        let in_box = (place - low).min_element() >= 0.0 && (high - place).min_element() >= 0.0;
+        if in_box && orient3d(a, b, c, place) == 0.0 {
+            moved |= leave_plane(mesh, vertex, [a, b, c], normal);
         }
     }
     moved
+}
+
+/// Moves a free vertex along the normal of a plane, as far as its ball allows; whether it left the plane.
+fn leave_plane(mesh: &mut ConstrainedMesh, vertex: VertexId, [a, b, c]: [DVec3; 3], normal: DVec3) -> bool {
+    let front = mesh.shape_of(&mesh.ball(vertex)).front;
+    if front.iter().flatten().any(|v| v.is_ghost()) {
+        return false;
+    }
+    let place = mesh.at(vertex);
+    let faces: Vec<[DVec3; 3]> = front.iter().map(|f| f.map(|v| mesh.at(v))).collect();
+    let size = faces.iter().flatten().map(|p| p.distance(place)).fold(0.0, f64::max);
+    let ways = (1..MOST_HALVINGS).flat_map(|i| [1.0, -1.0].map(|sign| sign * size * 0.5_f64.powi(i)));
+    let sees = |x: DVec3| faces.iter().all(|&[a, b, c]| orient3d(a, b, c, x) > 0.0);
+    let free = ways.map(|way| place + normal * way).find(|&x| orient3d(a, b, c, x) != 0.0 && sees(x));
+    if let Some(free) = free {
+        mesh.complex.set_point(vertex, free);
+    }
+    free.is_some()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::conforming::boundary_recovery::efforts;
+    use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, tetrahedralize};
+    use crate::conforming::enclosure::enclosing_corners;
+    use crate::conforming::options::Options;
+    use crate::conforming::test_surfaces::twisted_prism;
+
+    /// The Delaunay mesh of a twisted prism in a box of corners, which misses the diagonals of the prism.
+    fn knot() -> ConstrainedMesh {
+        let surface = twisted_prism(3, 20.0, 1);
+        let mut points = surface.points.clone();
+        points.extend(enclosing_corners(&surface.points));
+        let context = RunContext::with_threads(1).unwrap();
+        let options = DelaunayOptions { order: PointOrder::Input, seed: 0 };
+        let delaunay = tetrahedralize(&points, &options, &context).unwrap();
+        ConstrainedMesh::new(delaunay.complex, &surface.facets)
+    }
+
+    #[test]
+    fn locked_edges_are_there_after_points_were_added() {
+        let mut mesh = knot();
+        let context = RunContext::with_threads(1).unwrap();
+        let effort = &efforts(&Options::default())[2];
+        let missing = mesh.missing_segments();
+        assert!(!missing.is_empty());
+        let left = unlock_edges(&mut mesh, missing, effort, &context).unwrap();
+        assert_eq!(left, mesh.missing_segments());
+        assert!(left.is_empty() && mesh.volume_points.len() <= 3, "{left:?} {:?}", mesh.volume_points);
+        mesh.complex.check_invariants().unwrap();
+        assert!(mesh.complex.finite_tets().all(|tet| mesh.complex.is_positive(tet)));
+    }
+
+    #[test]
+    fn an_undone_trial_leaves_the_tets_as_they_were() {
+        let mut mesh = knot();
+        let rows = |mesh: &ConstrainedMesh| {
+            let mut rows: Vec<_> = mesh.complex.finite_tets().map(|tet| (tet, mesh.complex.vertices(tet))).collect();
+            rows.iter_mut().for_each(|(_, row)| row.sort_unstable());
+            rows
+        };
+        let (before, count) = (rows(&mesh), mesh.complex.points().len());
+        mesh.begin_trial();
+        let hint = mesh.complex.tet_of(VertexId(0));
+        let steiner = insert_point(&mut mesh, DVec3::new(0.1, 0.05, 0.45), hint).unwrap().unwrap();
+        assert_ne!(rows(&mesh), before);
+        mesh.end_trial(false).unwrap();
+        mesh.complex.set_tet_of(steiner, TetId::NONE);
+        mesh.complex.truncate_points(count);
+        assert_eq!(rows(&mesh), before);
+        mesh.complex.check_invariants().unwrap();
+    }
+
+    #[test]
+    fn a_point_of_the_volume_leaves_a_wanted_face() {
+        let mut mesh = knot();
+        let corners = [0, 1, 2].map(VertexId);
+        let middle = corners.iter().map(|&v| mesh.at(v)).sum::<DVec3>() / 3.0;
+        let place = DVec3::new(middle.x, middle.y, mesh.at(corners[0]).z);
+        let hint = mesh.complex.tet_of(corners[0]);
+        let steiner = insert_point(&mut mesh, place, hint).unwrap().unwrap();
+        mesh.volume_points.push(steiner);
+        assert!(free_face(&mut mesh, corners));
+        assert!(mesh.orient([corners[0], corners[1], corners[2], steiner]) != 0.0);
+        assert!(mesh.complex.finite_tets().all(|tet| mesh.complex.is_positive(tet)));
+        assert!(!free_face(&mut mesh, corners));
+    }
+
+    #[test]
+    fn closest_points_of_crossing_lines() {
+        let [p, q] = closest_points([-DVec3::X, DVec3::X], [DVec3::new(0.0, -1.0, 1.0), DVec3::new(0.0, 1.0, 1.0)]);
+        assert!(p.length() < 1e-12 && (q - DVec3::Z).length() < 1e-12, "{p} {q}");
+    }
 }
