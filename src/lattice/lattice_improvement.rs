@@ -124,6 +124,7 @@ pub struct ImprovementSummary {
 pub fn improve(
     mesh: &mut CandidateMesh,
     image: &LabelImage,
+    surface: SubvoxelSurface,
     sources: &SourcePoints,
     options: &ImprovementOptions,
     context: &RunContext,
@@ -132,7 +133,7 @@ pub fn improve(
     let wanted_volumes = voxel_volumes(image);
     let slack = SLACK * image.grid().spacing().min_element();
     let wanted = WANTED.max(options.min_dihedral_angle);
-    let mut work = ImprovementMesh::new(mesh, sources, SubvoxelSurface::new(image));
+    let mut work = ImprovementMesh::new(mesh, sources, surface);
     summary.low_before = low_tets(&work, wanted).len();
     for round in 0..ROUNDS {
         let may_transform = options.transformations == Transformations::Local && round >= FIRST_TRANSFORMING_ROUND;

@@ -53,7 +53,7 @@ pub fn smooth(
     report: &mut Report,
     context: &RunContext,
 ) -> Result<SmoothingPoints> {
-    let surface = SubvoxelSurface::new(image);
+    let surface = report.timed("target_surface", || SubvoxelSurface::new(image, context))?;
     let rows: &[[u32; 4]] = bytemuck::cast_slice(&mesh.tets);
     let neighbors = neighbors_of(rows, mesh.points.len())?;
     let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &neighbors, &surface);
@@ -81,7 +81,7 @@ pub fn smooth(
         laplacian_iterations: options.laplacian_iterations,
         min_dihedral_angle: options.min_dihedral_angle,
     };
-    let result = report.timed("improvement", || improve(mesh, image, &sources, &improvement, context))?;
+    let result = report.timed("improvement", || improve(mesh, image, surface, &sources, &improvement, context))?;
     report.set("improvement.low_before", result.low_before as f64);
     report.set("improvement.low_after", result.low_after as f64);
     report.set("improvement.lowest_score", result.lowest);

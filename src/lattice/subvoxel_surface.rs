@@ -1,27 +1,42 @@
 //! Where the surface between labels runs inside of the voxels: a smooth signed distance per pair of labels.
 //!
 //! # Method
-//! 1. The indicator of each label is smoothed by a Gaussian of `SIGMA` voxels, evaluated where it is asked for: the sum
-//!    over the 6 x 6 x 6 voxels around the point. Nothing is stored per voxel.
-//! 2. Between labels a and b the ratio `(f_a - f_b) / (f_a + f_b)` of a flat interface is an error function of the
-//!    distance; its inverse gives a signed distance (positive in a) that is right for flat interfaces and smooth.
+//! 1. Near a boundary each label has a smooth distance ([`smooth_distance`](crate::lattice::smooth_distance)), positive
+//!    inside. Between two labels it is the mean of theirs, weighted for the one that is no edge or crease there: at a line
+//!    where three labels meet, the one that goes straight on decides.
+//! 2. Farther away the indicator of each label is smoothed by a Gaussian of `SIGMA` voxels: the sum over the 6 x 6 x 6 voxels
+//!    around the point. The ratio `(f_a - f_b) / (f_a + f_b)` of a flat interface is an error function of the distance; its
+//!    inverse leads a vertex near enough for step 1.
 //! 3. The image is continued past its border by its outermost voxels; there the border planes bound the labels.
 //! 4. An offset per label moves its surfaces outward: it makes up for the volume that smoothing takes from convex bodies.
 //!
 //! # Differences
-//! The thesis moves vertices to voxel centres, which keeps the staircase. A smoothed indicator runs within half a voxel
-//! diagonal of the voxel boundary wherever structures are thicker than a voxel.
+//! The thesis moves vertices to voxel centres, which keeps the staircase. The smooth distance keeps every voxel centre on its
+//! side and bends least.
 //!
 //! # Cost
-//! About 1500 multiplications per evaluation.
+//! About 150 multiplications per label near a boundary, 1500 elsewhere.
 
 use glam::{DMat3, DVec3};
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
+use crate::lattice::smooth_distance::SmoothDistances;
 
 /// Width of the smoothing in voxels: below 0.7 the staircase shows, above 1.2 walls of 1.5 voxels lose volume.
 const SIGMA: f64 = 0.95;
+
+/// Gradient of a distance below which it leads nowhere: the middle of a thin part, or a place that is far.
+const LEAST_GRADIENT: f64 = 0.2;
+
+/// Weight of a label's distance: this power of the squared length of its gradient, which is 1 by a plane and a half or less
+/// where surfaces meet at right angles.
+const GRADIENT_POWER: i32 = 4;
+
+/// Longest distance that is told, mm.
+const LONGEST_DISTANCE: f64 = 3.0;
 
 /// Ratios are cut here: past it the inverse error function is steep and a surface is not near.
 const LARGEST_RATIO: f64 = 0.999;
@@ -50,6 +65,8 @@ pub struct SubvoxelSurface<'a> {
     voxels: &'a [Label],
     size: [usize; 3],
     spacing: DVec3,
+    /// Distances near the boundaries of labels.
+    smooth: SmoothDistances,
     /// Outward offset per label, mm.
     offsets: Vec<f64>,
     /// The Gaussian at whole voxels -2 to 3.
@@ -65,8 +82,12 @@ struct AxisWeights {
 
 impl<'a> SubvoxelSurface<'a> {
     /// The surfaces of an image.
-    pub fn new(image: &'a LabelImage) -> Self {
-        Self {
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+    pub fn new(image: &'a LabelImage, context: &RunContext) -> Result<Self> {
+        Ok(Self {
+            smooth: SmoothDistances::new(image, context)?,
             voxels: image.voxels(),
             size: image.grid().size(),
             spacing: image.grid().spacing(),
@@ -75,7 +96,7 @@ impl<'a> SubvoxelSurface<'a> {
                 let i = slot as f64 - 2.0;
                 (-i * i / (2.0 * SIGMA * SIGMA)).exp()
             }),
-        }
+        })
     }
 
     /// Millimetres between voxels.
@@ -166,6 +187,37 @@ impl<'a> SubvoxelSurface<'a> {
     /// Signed distance to the surface between labels a and b, mm, positive in a, and the unit normal towards a; `None` where
     /// no such surface is near.
     pub fn signed_distance(&self, point: DVec3, a: Label, b: Label) -> Option<(f64, DVec3)> {
+        if let Some((distance, normal)) = self.smooth_difference(point, a, b) {
+            let distance = distance.clamp(-LONGEST_DISTANCE, LONGEST_DISTANCE) + self.offset(a, b);
+            return Some((distance, normal));
+        }
+        self.blurred_distance(point, a, b)
+    }
+
+    /// The distance from the smooth distances of both labels, and the unit normal. A label that is thin or has an edge here
+    /// (another label meets the two) has a distance that is rounded off, of a short gradient: it weighs little.
+    fn smooth_difference(&self, point: DVec3, a: Label, b: Label) -> Option<(f64, DVec3)> {
+        let place = point / self.spacing;
+        let (mut distance, mut normal, mut total) = (0.0, DVec3::ZERO, 0.0);
+        for (label, sign) in [(a, 1.0), (b, -1.0)] {
+            if !self.smooth.has(label) && label.is_background() {
+                continue;
+            }
+            let (value, gradient) = self.smooth.sample(label, place, self.size, self.spacing)?;
+            let square = gradient.length_squared();
+            let weight = square.min(1.0).powi(GRADIENT_POWER);
+            if square > LEAST_GRADIENT * LEAST_GRADIENT {
+                distance += sign * weight * value / square.sqrt();
+                normal += sign * weight * gradient / square.sqrt();
+                total += weight;
+            }
+        }
+        let length = normal.length();
+        (length > LEAST_GRADIENT * total).then(|| (distance / total, normal / length))
+    }
+
+    /// As [`signed_distance`](Self::signed_distance), by the smoothed indicators.
+    fn blurred_distance(&self, point: DVec3, a: Label, b: Label) -> Option<(f64, DVec3)> {
         let (value, gradient, presence) = self.smoothed(point, a, b);
         let length = gradient.length();
         if !(presence > 0.02 && length > 1e-6 * presence) {
@@ -176,7 +228,7 @@ impl<'a> SubvoxelSurface<'a> {
         let sigmas = std::f64::consts::SQRT_2 * inverse_error_function(ratio);
         let density = (-sigmas * sigmas / 2.0).exp() * 2.0 / (2.0 * std::f64::consts::PI).sqrt();
         let per_sigma = length / presence / density;
-        let distance = (sigmas / per_sigma).clamp(-3.0, 3.0) + self.offset(a, b);
+        let distance = (sigmas / per_sigma).clamp(-LONGEST_DISTANCE, LONGEST_DISTANCE) + self.offset(a, b);
         (distance.is_finite()).then(|| (distance, gradient / length))
     }
 
@@ -333,7 +385,7 @@ mod tests {
     #[test]
     fn points_near_a_ball_are_projected_to_it_within_a_fifth_of_a_voxel() {
         let image = split_ball(8.0);
-        let surface = SubvoxelSurface::new(&image);
+        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
         let center = DVec3::new(11.2, 11.6, 11.9);
         for n in 0..40 {
             let t = f64::from(n);
@@ -349,7 +401,7 @@ mod tests {
     #[test]
     fn a_junction_of_three_labels_is_found() {
         let image = split_ball(8.0);
-        let surface = SubvoxelSurface::new(&image);
+        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
         let sides = [Side::Label(Label(0)), Side::Label(Label(1)), Side::Label(Label(2))];
         // The junction is the circle x = 10.5 (between voxels 10 and 11) on the ball.
         let found = surface.project(DVec3::new(11.0, 11.6 + 7.5, 11.9), &sides, 3.0).expect("a junction is near");
@@ -360,7 +412,7 @@ mod tests {
     #[test]
     fn border_planes_are_met_exactly() {
         let image = split_ball(14.0);
-        let surface = SubvoxelSurface::new(&image);
+        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
         let sides = [Side::Label(Label(2)), Side::Border(1)];
         let found = surface.project(DVec3::new(23.9, 11.0, 12.0), &sides, 2.0).expect("the border is near");
         assert_eq!(found, DVec3::new(23.5, 11.0, 12.0));

@@ -53,6 +53,7 @@ fn outer_faces(mesh: &ImprovementMesh) -> Vec<[u32; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::context::RunContext;
     use crate::image::grid::Grid;
     use crate::image::label_image::LabelImage;
     use crate::index::{Label, VertexId};
@@ -74,7 +75,7 @@ mod tests {
             tet_labels: vec![Label(1); 2],
             ..CandidateMesh::default()
         };
-        let surface = SubvoxelSurface::new(&image);
+        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
         let alone = [[u32::MAX; 4]; 2];
         let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &alone, &surface);
         count_crossings(&ImprovementMesh::new(&mut mesh, &sources, surface))

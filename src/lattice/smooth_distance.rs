@@ -1,0 +1,618 @@
+//! A smooth signed distance per label between the voxel centres: the least bent one that the voxels allow.
+//!
+//! # Method
+//! For each label, over the voxels within two layers of its boundary:
+//! 1. Bounds: the distance to the surface, positive inside, has the sign of its voxel, is at most the distance to the
+//!    nearest voxel centre of the other side, and at least a voxel diagonal less than that.
+//! 2. The sum of the squared second differences (thin-plate energy, mm) is made small within the bounds by accelerated
+//!    projected gradient steps. Differences with a voxel outside of the layers are left out, so that planes cost nothing.
+//! 3. Where the label or what is around it is at most two voxels thick, a distance has a crease that must not be ironed
+//!    out: second differences weigh little there, and voxels near by keep a least distance to the surface.
+//! 4. The values become coefficients of a quadratic B-spline, stored by blocks of 4 x 4 x 4 voxels, evaluated anywhere.
+//! ```text
+//!   voxels of an oblique plane        the surface with the least bending that separates the centres
+//!     . . . . . . o o o                  . . . . . . o o o
+//!     . . . o o o o o o        ->        . . .___---o o o
+//!     o o o o o o o o o                  ---o o o o o o o
+//! ```
+//!
+//! # Source
+//! [Lempitsky2010] for the energy and the bounds by sign; [BeckTeboulle2009] and [ODonoghueCandes2015] for the steps and
+//! their restarts; [BluThevenazUnser2001] for quasi-interpolation by splines.
+//!
+//! # Differences
+//! Bounds from distances on both sides instead of a sign alone; thin parts treated apart; a fixed effort: the last per mille of
+//! the energy is below what a mesh resolves.
+//!
+//! # Invariants
+//! Every voxel keeps its side up to the order of the spline. The same bits for any number of threads.
+//!
+//! # Cost
+//! About 100 bytes per voxel in the layers of the labels in work, 6 bytes per voxel kept; `STEPS` passes. Parallel by
+//! labels and by chunks of voxels.
+//!
+//! # Limits
+//! Further than two layers from a boundary there is no value.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::context::RunContext;
+use crate::error::Result;
+use crate::image::label_image::LabelImage;
+use crate::index::Label;
+
+/// Projected gradient steps. Measured on balls and tori of 1 to 3 mm anisotropy: 30, 60, 100 steps leave mean errors of 0.12,
+/// 0.10, 0.09 voxel on an oblique torus of 0.8 x 0.9 x 2 mm, and of 0.05, 0.036, 0.029 on a ball of 0.7 x 0.7 x 1.6 mm.
+const STEPS: usize = 80;
+
+/// A step that moves no voxel by more than this part of the smallest spacing is the last.
+const LAST_STEP: f32 = 5e-4;
+
+/// Least distance to the surface, of the distance to the other side.
+const MARGIN: f64 = 0.15;
+
+/// Weight of second differences in thin parts.
+const THIN_WEIGHT: f32 = 0.01;
+
+/// Least distance to the surface in and beside thin parts, of the distance to the other side: a wall of 1.5 voxels keeps its
+/// volume within 3 %, against 36 % less without both.
+const THIN_MARGIN: f64 = 0.2;
+
+/// A voxel is in a thin part when no voxel of its side within this index distance has all its 26 neighbours on its side.
+const THIN_REACH: i32 = 3;
+
+/// Work per task.
+const CHUNK: usize = 8192;
+
+/// No voxel, no block.
+const NONE: u32 = u32::MAX;
+
+/// Voxels of a block along an axis.
+const BLOCK: usize = 4;
+
+/// Steps to the twelve neighbours of a voxel that second differences meet: plus and minus each axis, then the two diagonals of
+/// each plane, xy, xz, yz.
+const NEIGHBORS: [[i32; 3]; 12] = [
+    [1, 0, 0],
+    [-1, 0, 0],
+    [0, 1, 0],
+    [0, -1, 0],
+    [0, 0, 1],
+    [0, 0, -1],
+    [1, 1, 0],
+    [-1, -1, 0],
+    [1, 0, 1],
+    [-1, 0, -1],
+    [0, 1, 1],
+    [0, -1, -1],
+];
+
+/// Smooth distances of all labels of an image; where there is but one, the background has none of its own.
+#[derive(Debug, Clone, Default)]
+pub struct SmoothDistances {
+    fields: Vec<LabelDistance>,
+}
+
+/// Spline coefficients of one label by blocks.
+#[derive(Debug, Clone, Default)]
+struct LabelDistance {
+    /// First block along each axis.
+    first: [usize; 3],
+    /// Blocks along each axis.
+    count: [usize; 3],
+    /// Position of each block in `blocks`, or `NONE`.
+    table: Vec<u32>,
+    /// Coefficients, mm; not a number where there is none.
+    blocks: Vec<[f32; BLOCK * BLOCK * BLOCK]>,
+}
+
+impl SmoothDistances {
+    /// The distances of an image.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+    pub fn new(image: &LabelImage, context: &RunContext) -> Result<Self> {
+        let layers = first_layers(image);
+        let of_label = |(label, layer): (usize, Vec<usize>)| {
+            context.check()?;
+            Ok(LabelBand::new(image, Label(label as u16), &layer).solve(context)?)
+        };
+        let fields = layers.into_par_iter().enumerate().with_max_len(1).map(of_label).collect::<Result<_>>()?;
+        Ok(Self { fields })
+    }
+
+    /// Whether a label has a distance of its own.
+    pub fn has(&self, label: Label) -> bool {
+        self.fields.get(label.index()).is_some_and(|field| !field.blocks.is_empty())
+    }
+
+    /// Distance to the surface of a label, mm, positive inside, and its gradient, at a place in voxels; `None` where the surface
+    /// is far.
+    pub fn sample(&self, label: Label, place: DVec3, size: [usize; 3], spacing: DVec3) -> Option<(f64, DVec3)> {
+        self.fields.get(label.index())?.sample(place, size, spacing)
+    }
+}
+
+impl LabelDistance {
+    fn sample(&self, place: DVec3, size: [usize; 3], spacing: DVec3) -> Option<(f64, DVec3)> {
+        let nearest = place.round();
+        let mut voxel = [[0usize; 3]; 3];
+        let mut value = [[0.0f64; 3]; 3];
+        let mut slope = [[0.0f64; 3]; 3];
+        for axis in 0..3 {
+            let at = place[axis] - nearest[axis];
+            let (low, high) = (0.5 - at, 0.5 + at);
+            value[axis] = [0.5 * low * low, 0.75 - at * at, 0.5 * high * high];
+            slope[axis] = [-low, -2.0 * at, high].map(|s| s / spacing[axis]);
+            for step in 0..3 {
+                // The image is continued past its border by its outermost voxels.
+                let at = nearest[axis] + step as f64 - 1.0;
+                let block = (at.max(0.0) as usize).min(size[axis] - 1);
+                voxel[axis][step] = block.checked_sub(BLOCK * self.first[axis])?;
+                if voxel[axis][step] >= BLOCK * self.count[axis] {
+                    return None;
+                }
+            }
+        }
+        let (mut sum, mut gradient) = (0.0, DVec3::ZERO);
+        for k in 0..3 {
+            for j in 0..3 {
+                let row = |b: usize| b / BLOCK * self.count[1];
+                let blocks = (row(voxel[2][k]) + voxel[1][j] / BLOCK) * self.count[0];
+                let inside = BLOCK * (voxel[1][j] % BLOCK + BLOCK * (voxel[2][k] % BLOCK));
+                let (mut along, mut change) = (0.0, 0.0);
+                for i in 0..3 {
+                    let x = voxel[0][i];
+                    let block = self.table[blocks + x / BLOCK];
+                    if block == NONE {
+                        return None;
+                    }
+                    let coefficient = f64::from(self.blocks[block as usize][inside + x % BLOCK]);
+                    along += value[0][i] * coefficient;
+                    change += slope[0][i] * coefficient;
+                }
+                let (y, z) = (value[1][j], value[2][k]);
+                sum += y * z * along;
+                gradient += DVec3::new(y * z * change, slope[1][j] * z * along, y * slope[2][k] * along);
+            }
+        }
+        // A missing coefficient is not a number, and so is every sum with it.
+        sum.is_finite().then_some((sum, gradient))
+    }
+}
+
+/// For each label the voxels, in order, that have it and anything else among themselves and their 26 neighbours; none for the
+/// background beside one label only, whose distance it shares.
+fn first_layers(image: &LabelImage) -> Vec<Vec<usize>> {
+    let size = image.grid().size();
+    let with_background = image.label_count() > 2;
+    let slices: Vec<Vec<(Label, usize)>> =
+        (0..size[2]).into_par_iter().map(|k| layers_of_slice(image, k, with_background)).collect();
+    let mut layers = vec![Vec::new(); image.label_count()];
+    for (label, voxel) in slices.into_iter().flatten() {
+        layers[label.index()].push(voxel);
+    }
+    layers
+}
+
+fn layers_of_slice(image: &LabelImage, k: usize, with_background: bool) -> Vec<(Label, usize)> {
+    let [ni, nj, nk] = image.grid().size();
+    let voxels = image.voxels();
+    let row = |j: usize, k: usize| &voxels[ni * (j + nj * k)..ni * (j + nj * k + 1)];
+    let mut found = Vec::new();
+    let mut is_mixed = vec![false; ni];
+    for j in 0..nj {
+        let own = row(j, k);
+        is_mixed.fill(false);
+        let beside = |at: usize, end: usize| at.saturating_sub(1)..(at + 2).min(end);
+        let rows: Vec<&[Label]> =
+            beside(k, nk).flat_map(|k| beside(j, nj).map(move |j| (j, k))).map(|(j, k)| row(j, k)).collect();
+        for other in &rows {
+            is_mixed.iter_mut().zip(own).zip(*other).for_each(|((m, o), n)| *m |= o != n);
+            is_mixed[1..].iter_mut().zip(&own[1..]).zip(*other).for_each(|((m, o), n)| *m |= o != n);
+            is_mixed.iter_mut().zip(own).zip(&other[1..]).for_each(|((m, o), n)| *m |= o != n);
+        }
+        for i in (0..ni).filter(|i| is_mixed[*i]) {
+            let first = found.len();
+            for other in &rows {
+                for label in &other[beside(i, ni)] {
+                    if (with_background || !label.is_background()) && found[first..].iter().all(|(l, _)| l != label) {
+                        found.push((*label, i + ni * (j + nj * k)));
+                    }
+                }
+            }
+        }
+    }
+    found
+}
+
+/// Voxels near the boundary of one label, numbered; the solve works on these.
+struct LabelBand<'a> {
+    image: &'a LabelImage,
+    label: Label,
+    /// The box of voxels that holds the band: first voxel, size.
+    low: [usize; 3],
+    size: [usize; 3],
+    /// Number of each voxel of the box, or `NONE`.
+    numbers: Vec<u32>,
+    /// Voxel of each number, in order.
+    voxels: Vec<[u32; 3]>,
+    /// Whether a numbered voxel has both sides among its 26 neighbours and itself.
+    is_first: Vec<bool>,
+}
+
+/// One unknown: value and bounds, mm.
+#[derive(Debug, Clone, Copy, Default)]
+struct Unknown {
+    value: f32,
+    low: f32,
+    high: f32,
+    /// Which of the six second differences exist (bits 0 to 5); bit 6: in a thin part.
+    terms: u8,
+}
+
+impl<'a> LabelBand<'a> {
+    fn new(image: &'a LabelImage, label: Label, layer: &[usize]) -> Self {
+        let grid = image.grid().size();
+        let place = |v: usize| [v % grid[0], v / grid[0] % grid[1], v / grid[0] / grid[1]];
+        let (mut low, mut high) = (grid, [0; 3]);
+        for voxel in layer {
+            let at = place(*voxel);
+            (0..3).for_each(|d| (low[d], high[d]) = (low[d].min(at[d]), high[d].max(at[d] + 1)));
+        }
+        if layer.is_empty() {
+            (low, high) = ([0; 3], [0; 3]);
+        }
+        let low: [usize; 3] = low.map(|l| l.saturating_sub(1));
+        let size: [usize; 3] =
+            std::array::from_fn(|d| (high[d] + usize::from(!layer.is_empty())).min(grid[d]) - low[d]);
+        let mut band = Self { image, label, low, size, numbers: Vec::new(), voxels: Vec::new(), is_first: Vec::new() };
+        // Marks first: 2 for the first layer, 1 for the second.
+        let mut marks = vec![0u8; size[0] * size[1] * size[2]];
+        for voxel in layer {
+            let at: [usize; 3] = std::array::from_fn(|d| place(*voxel)[d] - low[d]);
+            let range = |d: usize| at[d].saturating_sub(1)..(at[d] + 2).min(size[d]);
+            for k in range(2) {
+                for j in range(1) {
+                    let row = size[0] * (j + size[1] * k);
+                    marks[row + range(0).start..row + range(0).end].iter_mut().for_each(|m| *m = (*m).max(1));
+                }
+            }
+            marks[at[0] + size[0] * (at[1] + size[1] * at[2])] = 2;
+        }
+        band.numbers = vec![NONE; marks.len()];
+        for (voxel, mark) in marks.into_iter().enumerate().filter(|(_, mark)| *mark > 0) {
+            band.numbers[voxel] = band.voxels.len() as u32;
+            let at = [voxel % size[0], voxel / size[0] % size[1], voxel / size[0] / size[1]];
+            band.voxels.push(std::array::from_fn(|d| (at[d] + low[d]) as u32));
+            band.is_first.push(mark == 2);
+        }
+        band
+    }
+
+    /// Number of the voxel a step away from a voxel of the band; `NONE` outside of the band.
+    fn number(&self, voxel: [u32; 3], step: [i32; 3]) -> u32 {
+        let mut at = [0usize; 3];
+        for d in 0..3 {
+            let place = i64::from(voxel[d]) + i64::from(step[d]) - self.low[d] as i64;
+            if place < 0 || place >= self.size[d] as i64 {
+                return NONE;
+            }
+            at[d] = place as usize;
+        }
+        self.numbers[at[0] + self.size[0] * (at[1] + self.size[1] * at[2])]
+    }
+
+    /// The voxel a step away, within the image.
+    fn clamped(&self, voxel: [u32; 3], step: [i32; 3]) -> [u32; 3] {
+        let grid = self.image.grid().size();
+        std::array::from_fn(|d| (i64::from(voxel[d]) + i64::from(step[d])).clamp(0, grid[d] as i64 - 1) as u32)
+    }
+
+    fn is_inside(&self, voxel: [u32; 3]) -> bool {
+        let [i, j, k] = voxel.map(|v| v as usize);
+        self.image.at(i, j, k) == self.label
+    }
+
+    /// Whether no voxel of the same side without the other side around it is near.
+    fn is_thin(&self, number: usize, steps: &[[i32; 3]]) -> bool {
+        let voxel = self.voxels[number];
+        let side = self.is_inside(voxel);
+        self.is_first[number]
+            && !steps.iter().any(|step| {
+                let other = self.clamped(voxel, *step);
+                let other_number = self.number(other, [0; 3]);
+                self.is_inside(other) == side && (other_number == NONE || !self.is_first[other_number as usize])
+            })
+    }
+
+    /// Distance to the nearest voxel of the other side within two voxels, mm.
+    fn distance_to_other_side(&self, voxel: [u32; 3], steps: &[([i32; 3], f64)]) -> f64 {
+        let side = self.is_inside(voxel);
+        let is_other = |step: &[i32; 3]| {
+            let other = self.clamped(voxel, *step);
+            self.is_inside(other) != side
+        };
+        // The first layer finds one among 26 neighbours, the second around one of those.
+        steps.iter().find(|(step, _)| is_other(step)).or(steps.last()).map_or(0.0, |(_, length)| *length)
+    }
+
+    fn unknowns(&self, neighbors: &[[u32; 12]]) -> Vec<Unknown> {
+        let spacing = self.image.grid().spacing();
+        let near: Vec<[i32; 3]> = steps_within(THIN_REACH, |s| s.length() <= f64::from(THIN_REACH));
+        let lengths: Vec<([i32; 3], f64)> = {
+            let length = |s: [i32; 3]| (DVec3::from_array(s.map(f64::from)) * spacing).length();
+            let mut steps: Vec<_> = steps_within(2, |_| true).into_iter().map(|s| (s, length(s))).collect();
+            steps.sort_by(|l, r| l.1.total_cmp(&r.1));
+            steps
+        };
+        let count = self.voxels.len();
+        let thin: Vec<bool> = (0..count).into_par_iter().with_min_len(CHUNK).map(|n| self.is_thin(n, &near)).collect();
+        let any_thin = thin.iter().any(|t| *t);
+        let around = steps_within(1, |_| true);
+        let (diagonal, mean) = (spacing.length(), spacing.element_sum() / 3.0);
+        let of_voxel = |n: usize| {
+            let voxel = self.voxels[n];
+            let is_thin_near = any_thin
+                && (thin[n]
+                    || around.iter().any(|s| thin.get(self.number(voxel, *s) as usize).copied().unwrap_or(false)));
+            let distance = self.distance_to_other_side(voxel, &lengths);
+            let margin = if is_thin_near { THIN_MARGIN } else { MARGIN } * distance.min(diagonal);
+            let low = (distance - diagonal).max(margin);
+            let start = (distance - 0.5 * mean).max(0.3 * distance).clamp(low, distance);
+            let [low, high, value] = [low, distance, start].map(|x| x as f32);
+            let terms = terms_of(&neighbors[n], count as u32) | u8::from(thin[n]) << 6;
+            if self.is_inside(voxel) {
+                Unknown { value, low, high, terms }
+            } else {
+                Unknown { value: -value, low: -high, high: -low, terms }
+            }
+        };
+        (0..count).into_par_iter().with_min_len(CHUNK).map(of_voxel).collect()
+    }
+
+    /// Minimises the energy and returns the spline.
+    fn solve(&self, context: &RunContext) -> Result<LabelDistance> {
+        let count = self.voxels.len();
+        let row = |n: usize| {
+            NEIGHBORS.map(|step| {
+                let number = self.number(self.voxels[n], step);
+                if number == NONE { count as u32 } else { number }
+            })
+        };
+        let neighbors: Vec<[u32; 12]> = (0..count).into_par_iter().with_min_len(CHUNK).map(row).collect();
+        let mut unknowns = self.unknowns(&neighbors);
+        minimize_bending(&mut unknowns, &neighbors, self.image.grid().spacing(), context)?;
+        Ok(self.spline(&unknowns, &neighbors))
+    }
+
+    /// Coefficients whose spline takes the values of the unknowns, up to fourth differences.
+    fn spline(&self, unknowns: &[Unknown], neighbors: &[[u32; 12]]) -> LabelDistance {
+        let first = self.low.map(|l| l / BLOCK);
+        let count: [usize; 3] = std::array::from_fn(|d| (self.low[d] + self.size[d]).div_ceil(BLOCK) - first[d]);
+        let mut spline = LabelDistance { first, count, table: vec![NONE; count.iter().product()], blocks: Vec::new() };
+        for (n, unknown) in unknowns.iter().enumerate() {
+            let mut coefficient = unknown.value;
+            for axis in 0..3 {
+                let beside = [2 * axis, 2 * axis + 1].map(|d| unknowns.get(neighbors[n][d] as usize));
+                if let [Some(next), Some(before)] = beside {
+                    // The quadratic B-spline weighs its nodes 1/8, 6/8, 1/8.
+                    coefficient -= (next.value - 2.0 * unknown.value + before.value) / 8.0;
+                }
+            }
+            let at = self.voxels[n].map(|v| v as usize);
+            let [i, j, k]: [usize; 3] = std::array::from_fn(|d| at[d] / BLOCK - first[d]);
+            let slot = &mut spline.table[i + count[0] * (j + count[1] * k)];
+            if *slot == NONE {
+                *slot = spline.blocks.len() as u32;
+                spline.blocks.push([f32::NAN; BLOCK * BLOCK * BLOCK]);
+            }
+            let inside = at[0] % BLOCK + BLOCK * (at[1] % BLOCK + BLOCK * (at[2] % BLOCK));
+            spline.blocks[*slot as usize][inside] = coefficient;
+        }
+        spline
+    }
+}
+
+/// Steps other than zero with components up to `reach`, the shortest first.
+fn steps_within(reach: i32, keep: impl Fn(DVec3) -> bool) -> Vec<[i32; 3]> {
+    let range = -reach..=reach;
+    let mut steps = Vec::new();
+    for k in range.clone() {
+        for j in range.clone() {
+            steps.extend(range.clone().map(|i| [i, j, k]));
+        }
+    }
+    steps.retain(|s| *s != [0; 3] && keep(DVec3::from_array(s.map(f64::from))));
+    steps.sort_by_key(|s| s.iter().map(|x| x * x).sum::<i32>());
+    steps
+}
+
+/// Which second differences have all their voxels; `count` stands for none.
+fn terms_of(neighbors: &[u32; 12], count: u32) -> u8 {
+    let has = |d: usize| neighbors[d] != count;
+    let pairs = [(0, 1), (2, 3), (4, 5)].map(|(next, before)| has(next) && has(before));
+    let squares = [(0, 2, 6), (0, 4, 8), (2, 4, 10)].map(|(a, b, both)| has(a) && has(b) && has(both));
+    pairs.into_iter().chain(squares).enumerate().map(|(bit, term)| u8::from(term) << bit).sum()
+}
+
+/// Weights of the six second differences by the bits of `Unknown::terms`, divided by the steepest curvature of the energy.
+fn term_weights(spacing: DVec3) -> Vec<[f32; 8]> {
+    let inverse = (spacing * spacing).recip();
+    let steepest = (4.0 * inverse.element_sum()).powi(2);
+    let [x, y, z] = inverse.to_array();
+    let weights = [x * x, y * y, z * z, 2.0 * x * y, 2.0 * x * z, 2.0 * y * z].map(|w| (w / steepest) as f32);
+    (0..128usize)
+        .map(|terms| {
+            let scale = if terms & 64 != 0 { THIN_WEIGHT } else { 1.0 };
+            std::array::from_fn(|bit| if bit < 6 && terms >> bit & 1 != 0 { scale * weights[bit] } else { 0.0 })
+        })
+        .collect()
+}
+
+/// Accelerated projected gradient steps.
+fn minimize_bending(
+    unknowns: &mut [Unknown],
+    neighbors: &[[u32; 12]],
+    spacing: DVec3,
+    context: &RunContext,
+) -> Result<()> {
+    let weights = term_weights(spacing);
+    // One more for the neighbour that is not there.
+    let mut ahead: Vec<f32> = unknowns.iter().map(|u| u.value).chain([0.0]).collect();
+    let mut bending = vec![[0.0f32; 8]; unknowns.len() + 1];
+    let mut momentum = 1.0f64;
+    let last = LAST_STEP * spacing.min_element() as f32;
+    for _ in 0..STEPS {
+        context.check()?;
+        let count = unknowns.len();
+        bending[..count].par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, rows)| {
+            for (n, row) in (chunk * CHUNK..).zip(rows) {
+                *row = second_differences(n, &neighbors[n], &ahead, &weights[usize::from(unknowns[n].terms)]);
+            }
+        });
+        let next = (1.0 + (1.0 + 4.0 * momentum * momentum).sqrt()) / 2.0;
+        let carry = ((momentum - 1.0) / next) as f32;
+        let moves: Vec<(f64, f32)> = unknowns
+            .par_chunks_mut(CHUNK)
+            .zip(ahead[..count].par_chunks_mut(CHUNK))
+            .enumerate()
+            .map(|(chunk, (unknowns, ahead))| {
+                let (mut uphill, mut largest) = (0.0f64, 0.0f32);
+                for ((n, unknown), ahead) in (chunk * CHUNK..).zip(unknowns).zip(ahead) {
+                    let slope = bending_slope(n, &neighbors[n], &bending);
+                    let value = (*ahead - slope).clamp(unknown.low, unknown.high);
+                    let change = value - unknown.value;
+                    uphill += f64::from((*ahead - value) * change);
+                    largest = largest.max(change.abs());
+                    *ahead = value + carry * change;
+                    unknown.value = value;
+                }
+                (uphill, largest)
+            })
+            .collect();
+        let uphill: f64 = moves.iter().map(|m| m.0).sum();
+        momentum = if uphill > 0.0 { 1.0 } else { next };
+        if moves.iter().all(|m| m.1 < last) {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// Weighted second differences at a voxel: xx, yy, zz, xy, xz, yz.
+#[inline]
+fn second_differences(n: usize, neighbors: &[u32; 12], values: &[f32], weights: &[f32; 8]) -> [f32; 8] {
+    let at = |d: usize| values[neighbors[d] as usize];
+    let own = values[n];
+    let [x, y, z] = [at(0), at(2), at(4)];
+    [
+        weights[0] * (x - 2.0 * own + at(1)),
+        weights[1] * (y - 2.0 * own + at(3)),
+        weights[2] * (z - 2.0 * own + at(5)),
+        weights[3] * (own - x - y + at(6)),
+        weights[4] * (own - x - z + at(8)),
+        weights[5] * (own - y - z + at(10)),
+        0.0,
+        0.0,
+    ]
+}
+
+/// Slope of the energy at a voxel: the transposed second differences.
+#[inline]
+fn bending_slope(n: usize, neighbors: &[u32; 12], bending: &[[f32; 8]]) -> f32 {
+    let at = |d: usize| &bending[neighbors[d] as usize];
+    let own = &bending[n];
+    let [x, y, z] = [at(1), at(3), at(5)];
+    at(0)[0] + x[0] + at(2)[1] + y[1] + at(4)[2] + z[2] - 2.0 * (own[0] + own[1] + own[2])
+        + (own[3] - x[3] - y[3] + at(7)[3])
+        + (own[4] - x[4] - z[4] + at(9)[4])
+        + (own[5] - y[5] - z[5] + at(11)[5])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::grid::Grid;
+    use glam::DMat3;
+
+    fn image(size: [usize; 3], spacing: DVec3, label: impl Fn(DVec3) -> u16) -> LabelImage {
+        let grid = Grid::new(size, spacing, DVec3::ZERO, DMat3::IDENTITY).unwrap();
+        let place = |v: usize| [v % size[0], v / size[0] % size[1], v / size[0] / size[1]].map(|x| x as f64);
+        let voxels: Vec<Label> =
+            (0..grid.voxel_count()).map(|v| Label(label(DVec3::from_array(place(v)) * spacing))).collect();
+        let labels = i32::from(voxels.iter().map(|l| l.0).max().unwrap());
+        LabelImage::new(grid, voxels, (0..=labels).collect()).unwrap()
+    }
+
+    fn distances(image: &LabelImage, threads: usize) -> SmoothDistances {
+        let context = RunContext::with_threads(threads).unwrap();
+        context.install(|| SmoothDistances::new(image, &context)).unwrap()
+    }
+
+    fn value(field: &SmoothDistances, image: &LabelImage, label: u16, at: DVec3) -> Option<(f64, DVec3)> {
+        let grid = image.grid();
+        field.sample(Label(label), at / grid.spacing(), grid.size(), grid.spacing())
+    }
+
+    #[test]
+    fn the_distance_of_a_ball_of_thick_slices_is_within_a_fifth_of_a_voxel() {
+        let spacing = DVec3::new(0.7, 0.7, 1.6);
+        let (center, radius) = (DVec3::new(11.3, 11.7, 11.2), 9.0);
+        let image = image([34, 34, 15], spacing, |p| u16::from(p.distance(center) < radius));
+        let field = distances(&image, 1);
+        let mut worst: f64 = 0.0;
+        for n in 0..500 {
+            let t = f64::from(n);
+            let direction = DVec3::new((t * 0.7).sin(), (t * 1.3).cos(), (t * 2.1).sin()).normalize();
+            let (distance, gradient) = value(&field, &image, 1, center + direction * radius).expect("near the surface");
+            worst = worst.max(distance.abs());
+            assert!((gradient.normalize().dot(direction) + 1.0).abs() < 0.05, "{gradient} {direction}");
+        }
+        // Measured 0.17; half a slice is 0.8 mm.
+        assert!(worst < 0.25, "{worst}");
+        assert!(value(&field, &image, 1, center).is_none());
+    }
+
+    #[test]
+    fn every_voxel_keeps_its_side_and_threads_change_nothing() {
+        let label = |p: DVec3| {
+            if p.distance(DVec3::splat(9.3)) > 7.2 { 0 } else { 1 + u16::from(p.x > 9.0) + 2 * u16::from(p.y > 10.0) }
+        };
+        let image = image([20; 3], DVec3::ONE, label);
+        let field = distances(&image, 1);
+        let other = distances(&image, 3);
+        for v in 0..8000 {
+            let at = DVec3::new((v % 20) as f64, (v / 20 % 20) as f64, (v / 400) as f64);
+            for own in 1..=4u16 {
+                let found = value(&field, &image, own, at);
+                assert_eq!(found, value(&other, &image, own, at));
+                if let Some((distance, _)) = found {
+                    let side = if image.voxels()[v].0 == own { 1.0 } else { -1.0 };
+                    assert!(distance * side > -0.1, "{at} {own} {distance}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_thin_wall_keeps_its_two_surfaces() {
+        // 1.5 voxels thick: one and two voxels by turns.
+        let normal = DVec3::new(0.3, 0.2, 1.0).normalize();
+        let image = image([24; 3], DVec3::ONE, |p| u16::from((p.dot(normal) - 14.0).abs() < 0.75));
+        let field = distances(&image, 1);
+        let mut errors = Vec::new();
+        for n in 0..200 {
+            let (x, y) = (6.0 + f64::from(n % 14), 6.0 + f64::from(n / 14));
+            for side in [-1.0, 1.0] {
+                let at = DVec3::new(x, y, (14.0 + 0.75 * side - (x * normal.x + y * normal.y)) / normal.z);
+                let (distance, gradient) = value(&field, &image, 1, at).expect("near the wall");
+                assert!(gradient.dot(normal) * side < 0.0, "{at}");
+                errors.push((distance / gradient.length()).abs());
+            }
+        }
+        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        assert!(mean < 0.2, "{mean}");
+    }
+}
