@@ -1,8 +1,7 @@
 //! What a host says about sizes reaches the mesh: background meshes, source surfaces, functions that fail or cancel.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 
 use glam::DVec3;
 
@@ -84,8 +83,12 @@ fn unusable_values_of_a_size_function_end_the_run() {
         let context = RunContext::with_threads(threads).unwrap();
         for value in [f64::NAN, f64::INFINITY, 0.0, -1.0] {
             // The first calls are answered well, so that the work is under way.
-            let calls = AtomicUsize::new(0);
-            let answer = move |_, size| if calls.fetch_add(1, Ordering::Relaxed) < 300 { 0.5 * size } else { value };
+            let calls = Mutex::new(0);
+            let answer = move |_, size| {
+                let mut count = calls.lock().unwrap();
+                *count += 1;
+                if *count < 300 { 0.5 * size } else { value }
+            };
             let result = meshed(&cube(6), &with_function(Arc::new(answer)), &context);
             assert!(matches!(result, Err(Error::InvalidArgument { .. })), "{value}: {:?}", result.err());
         }
