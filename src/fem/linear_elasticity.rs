@@ -331,4 +331,31 @@ mod tests {
             assert!(error < 1e-6 * size, "{solver:?} {error}");
         }
     }
+
+    #[test]
+    fn incomplete_cholesky_holds_on_nearly_incompressible_tissue_beside_a_soft_cavity() {
+        let mut mesh = cube_mesh(ElementKind::Hexahedron, 14, 0.1);
+        for element in 0..mesh.element_count() {
+            let middle = mesh.element(element).1.iter().map(|n| mesh.points[n.index()]).sum::<DVec3>() / 8.0;
+            let distance = (middle - DVec3::new(0.4, 0.5, 0.6)).length();
+            mesh.labels[element] = if distance < 0.2 { 3 } else { 1 + i32::from(distance < 0.3) };
+        }
+        let of = |young, poisson| Material::new(young, poisson).unwrap();
+        let entries = [(1, of(2.1, 0.45)), (2, of(21.0, 0.49)), (3, of(0.021, 0.1))];
+        let context = RunContext::with_threads(2).unwrap();
+        let iterations = [SolverKind::IncompleteCholeskyCg, SolverKind::BlockJacobiCg].map(|solver| {
+            // The whole first layer: 15 x 15 nodes.
+            let fixed = (0..225).map(|i| PrescribedDisplacement::full(VertexId(i), DVec3::ZERO)).collect();
+            let loads = vec![PointLoad { node: VertexId(2000), force: DVec3::ONE }];
+            let mut problem = problem(Formulation::Standard, fixed, loads);
+            problem.materials = MaterialMap::new(None, entries.to_vec());
+            (problem.solver, problem.stopping.relative_tolerance) = (solver, 1e-6);
+            let (_, report) = solve_elasticity(&ElementMesh::from_mixed(&mesh), &problem, &context).unwrap();
+            assert!(report.is_converged(), "{solver:?} {report:?}");
+            report.iterations
+        });
+        let findings = context.take_findings();
+        assert!(findings.is_empty(), "{findings:?}");
+        assert!(2 * iterations[0] < iterations[1], "{iterations:?}");
+    }
 }
