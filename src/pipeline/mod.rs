@@ -10,6 +10,7 @@
 
 pub mod evaluation;
 pub mod image_to_mesh;
+mod model_meshes;
 pub mod registration;
 pub mod surface_to_mesh;
 pub mod warp;

@@ -1,11 +1,8 @@
 //! Two scans of a patient become a displacement field.
 //!
 //! # Method
-//! The scans become single-precision images, the mesh methods of the parameters become functions that the engine calls: the
-//! lattice engine for `cbc3d`; structured hexahedra are the engine's own.
-//!
-//! # Limits
-//! Mesh methods `delaunay` and `ld` are refused with the methods that exist.
+//! The scans become single-precision images, the mesh methods of the parameters become functions that the engine calls
+//! ([`super::model_meshes`]); structured hexahedra are the engine's own.
 
 use glam::{DMat4, DVec3};
 
@@ -15,12 +12,12 @@ use crate::image::label_image::LabelImage;
 use crate::image::scalar_image::ScalarImage;
 use crate::image::voxel_image::{VoxelData, VoxelImage};
 use crate::mesh::mixed_mesh::{ArrayData, MixedMesh, NamedArray};
-use crate::parameters::{ParameterSet, Table, Value};
-use crate::registration::options::{MeshMethod, MeshOptions, Options, check_rigid};
+use crate::parameters::{ParameterSet, Table};
+use crate::registration::options::{Options, check_rigid};
 use crate::registration::{self as engine, adaptive_loop::Block};
 
 pub use super::Output;
-use super::image_to_mesh;
+use super::model_meshes::mesh_of_labels;
 
 /// The parameters of this kind of job.
 pub const PARAMETERS: Table = crate::registration::options::PARAMETERS;
@@ -117,34 +114,4 @@ fn add_blocks(blocks: &[Block], result: &mut Output) {
     let rejected = ArrayData::Int(blocks.iter().map(|b| i32::from(b.is_rejected)).collect());
     result.arrays.push(NamedArray { name: "similarity".into(), components: 1, data: similarity });
     result.arrays.push(NamedArray { name: "rejected".into(), components: 1, data: rejected });
-}
-
-/// The mesh methods other than structured hexahedra.
-fn mesh_of_labels(labels: &LabelImage, options: &MeshOptions, context: &RunContext) -> Result<MixedMesh> {
-    match options.method {
-        MeshMethod::Cbc3d => lattice_mesh(labels, options, context),
-        MeshMethod::Delaunay | MeshMethod::LatticeDecimation | MeshMethod::StructuredHexahedra => {
-            Err(Error::Unsupported {
-                reason: "mesh-method delaunay and ld are not built yet: use cbc3d or structured-hex".into(),
-            })
-        }
-    }
-}
-
-/// A tolerance that no element of any image exceeds, in voxels.
-const UNBOUNDED_TOLERANCE: f64 = 1e9;
-
-fn lattice_mesh(labels: &LabelImage, options: &MeshOptions, context: &RunContext) -> Result<MixedMesh> {
-    let mut parameters = ParameterSet::new(image_to_mesh::PARAMETERS);
-    parameters.set("latticeSpacing", Value::Real(options.lattice_spacing))?;
-    // The mesh carries displacements: its boundary need not be better than the fidelity asks for.
-    parameters.set("surface-tolerance", Value::Real(UNBOUNDED_TOLERANCE))?;
-    parameters.set("fidelity", Value::Real(options.fidelity))?;
-    parameters.set("smoothing-iterations", Value::Integer(options.smoothing_iterations as i64))?;
-    for (label, fidelity) in &options.label_fidelities {
-        parameters.set_for_label("fidelity", *label, Value::Real(*fidelity))?;
-    }
-    let input = image_to_mesh::Input { labels, fixed_points: &[] };
-    let mesh = image_to_mesh::run(&input, &parameters, context)?.mesh;
-    mesh.ok_or_else(|| Error::Internal { reason: "the lattice engine made no mesh".into() })
 }

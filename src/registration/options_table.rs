@@ -373,7 +373,7 @@ pub const PARAMETERS: Table = &[
         unit: "",
         multiplicity: Multiplicity::Single,
         group: "Mesh",
-        doc: "Mesh of the model: lattice (CBC3D), Delaunay, lattice decimation, or structured hexahedra. The thesis uses CBC3D.",
+        doc: "Mesh of the model: lattice (cbc3d), Delaunay refinement between the surfaces of the labels (delaunay), lattice with the highest fidelity at the boundaries and large elements inside (ld), or structured hexahedra. The thesis uses CBC3D.",
     },
     Parameter {
         name: "cbc3d-spacing",
@@ -423,7 +423,7 @@ pub const PARAMETERS: Table = &[
         unit: "mm",
         multiplicity: Multiplicity::Single,
         group: "Mesh",
-        doc: "Element size of the Delaunay and lattice decimation meshes.",
+        doc: "Element size of the delaunay mesh, and inside of the ld mesh.",
     },
     Parameter {
         name: "hexahedron-size",
