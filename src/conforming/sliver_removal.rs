@@ -240,3 +240,73 @@ fn best_place<S: TetStore + ?Sized, M: TetMeasure>(
     }
     None
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, tetrahedralize};
+    use crate::conforming::flip_criteria::BiasedSine;
+    use crate::conforming::flips::commit;
+    use crate::context::RunContext;
+    use crate::index::Label;
+    use crate::mesh::tet_complex::TetComplex;
+
+    /// The Delaunay tets of points by a linear congruential generator: many are slivers.
+    fn random_mesh(count: usize) -> TetComplex {
+        let mut state = 11u32;
+        let mut next = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            f64::from(state >> 8) / f64::from(1 << 24)
+        };
+        let points: Vec<DVec3> = (0..count).map(|_| DVec3::new(next(), next(), next())).collect();
+        let options = DelaunayOptions { order: PointOrder::Spatial, seed: 0 };
+        let mut complex = tetrahedralize(&points, &options, &RunContext::with_threads(1).unwrap()).unwrap().complex;
+        let tets: Vec<TetId> = complex.finite_tets().collect();
+        tets.into_iter().for_each(|tet| complex.set_label(tet, Label(1)));
+        complex
+    }
+
+    /// Constrains an edge in all tets that have it.
+    fn hold_edge(complex: &mut TetComplex, ends: [VertexId; 2]) {
+        let tets: Vec<TetId> = complex.live_tets().collect();
+        for tet in tets {
+            if let [Some(i), Some(j)] = ends.map(|v| complex.local_vertex(tet, v)) {
+                complex.set_flags(tet, complex.flags(tet).with_edge(TET_EDGE_BETWEEN[i][j], true));
+            }
+        }
+    }
+
+    #[test]
+    fn polyhedra_of_other_edges_help_where_the_worst_edge_is_held() {
+        let mesh = random_mesh(300);
+        let worst = |tet: TetId| dihedral_angles(mesh.points_of(tet)).into_iter().fold(0.0, f64::max);
+        let bad: Vec<TetId> = mesh.finite_tets().filter(|&tet| worst(tet) > 2.9).collect();
+        let mut accepted = [0, 0];
+        for tet in bad {
+            for (number, every_edge) in [false, true].into_iter().enumerate() {
+                let mut complex = mesh.clone();
+                let spare = complex.push_point(DVec3::ZERO).unwrap();
+                let angles = dihedral_angles(complex.points_of(tet));
+                let first = (0..6).max_by(|&i, &j| angles[i].total_cmp(&angles[j])).unwrap();
+                let held = TET_EDGES[first].map(|i| complex.vertices(tet)[i]);
+                hold_edge(&mut complex, held);
+                let limits = InsertionLimits { floor: 0.0, spacing: 0.0, every_edge };
+                let (mut scratch, mut flips) = (SliverScratch::default(), FlipScratch::default());
+                let (outcome, place) =
+                    plan_sliver_insertion(&mut complex, tet, spare, limits, &BiasedSine, &mut scratch, &mut flips);
+                if outcome != Outcome::Accepted {
+                    continue;
+                }
+                accepted[number] += 1;
+                complex.set_point(spare, place);
+                commit(&mut complex, &mut flips).unwrap();
+                complex.check_invariants().unwrap();
+                complex.check_orientation().unwrap();
+                let holds = |t: TetId| held.iter().all(|v| complex.local_vertex(t, *v).is_some());
+                assert!(complex.live_tets().any(holds), "the held edge stays");
+                assert!((0..300).all(|v| complex.tet_of(VertexId(v)) != TetId::NONE), "no vertex is lost");
+            }
+        }
+        assert!(accepted[1] > accepted[0] && accepted[0] > 0, "{accepted:?}");
+    }
+}
