@@ -253,13 +253,18 @@ fn labels_of_whole_cubes(mesh: &CandidateMesh, cubes: &[MergeableCube], cube_of:
         for v in tet {
             let Some(c) = Some(cube_of[v.index()]).filter(|c| *c != u32::MAX) else { continue };
             let cube = &cubes[c as usize];
-            let known = |w: &VertexId| w == v || cube.corners.contains(w) || cube.apexes.contains(w);
+            // One of the four tets across a face: its apex, and the two ends of one of the face's edges. Improvement can make
+            // 24 other tets of the same vertices.
+            let is_of_face = |f: usize| {
+                let on_face = |i: usize| tet.contains(&cube.corners[HEX_FACES[f][i]]);
+                tet.contains(&cube.apexes[f]) && (0..4).any(|i| on_face(i) && on_face((i + 1) % 4))
+            };
             let (count, first, is_whole) = &mut counts[c as usize];
             if *count == 0 {
                 *first = *label;
             }
             *count += 1;
-            *is_whole &= *first == *label && tet.iter().all(known);
+            *is_whole &= *first == *label && (0..6).any(is_of_face);
         }
     }
     let label = |(v, (count, label, is_whole)): (&MergeableCube, (u32, Label, bool))| {
