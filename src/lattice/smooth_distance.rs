@@ -116,7 +116,7 @@ impl SmoothDistances {
         let layers = first_layers(image);
         let of_label = |(label, layer): (usize, Vec<usize>)| {
             context.check()?;
-            Ok(LabelBand::new(image, Label(label as u16), &layer).solve(context)?)
+            LabelBand::new(image, Label(label as u16), &layer).solve(context)
         };
         let fields = layers.into_par_iter().enumerate().with_max_len(1).map(of_label).collect::<Result<_>>()?;
         Ok(Self { fields })
