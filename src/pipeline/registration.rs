@@ -2,7 +2,7 @@
 //!
 //! # Method
 //! The scans become single-precision images, the mesh methods of the parameters become functions that the engine calls
-//! ([`super::model_meshes`]); structured hexahedra are the engine's own.
+//! (`model_meshes`); structured hexahedra are the engine's own.
 
 use glam::{DMat4, DVec3};
 
