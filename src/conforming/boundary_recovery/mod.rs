@@ -145,7 +145,12 @@ pub fn restore_surface(
     let start = Instant::now();
     let mut volume = std::mem::take(&mut mesh.volume_points);
     if options.boundary_recovery == RecoveryMode::Full {
-        let left = partition_elimination::eliminate_partitions(mesh, &mut volume, &efforts(options)[1], context)?;
+        let mut left = mesh.splits.len();
+        for effort in &efforts(options)[1..] {
+            if left > 0 {
+                left = partition_elimination::eliminate_partitions(mesh, &mut volume, effort, context)?;
+            }
+        }
         if left > 0 {
             let places: Vec<DVec3> = mesh.splits.iter().map(|(v, _)| mesh.at(*v)).collect();
             return Err(not_recovered(places, "a point added on the surface could not be taken off it"));
