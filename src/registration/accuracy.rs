@@ -49,7 +49,7 @@ pub fn edge_distances(warped: &ScalarImage, fixed: &ScalarImage) -> [f64; 3] {
 }
 
 /// Squared distance of every voxel to the nearest set voxel, mm^2.
-fn squared_distances(set: &[bool], size: [usize; 3], spacing: [f64; 3]) -> Vec<f32> {
+pub(super) fn squared_distances(set: &[bool], size: [usize; 3], spacing: [f64; 3]) -> Vec<f32> {
     let far = (0..3).map(|axis| (size[axis] as f64 * spacing[axis]).powi(2)).sum::<f64>() as f32 * 4.0;
     let mut values: Vec<f32> = set.iter().map(|s| if *s { 0.0 } else { far }).collect();
     for axis in 0..3 {

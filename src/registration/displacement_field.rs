@@ -5,16 +5,18 @@
 //!    neighbours, layer by layer, so that the field continues smoothly.
 //! 2. The rigid transform R follows the deformation u: the field at y is `R(y + u(y)) - y`, so that the moving scan is interpolated
 //!    once, whatever the number of iterations.
-//! 3. Folding: the Jacobian determinant of `y + d(y)` from central differences and from the eight corners of each voxel; voxels
+//! 3. Outside of the tissue the displacement is kept up to 10 mm and fades to that of the rigid transform over the given distance:
+//!    there is nothing to measure, and a host that warps the skull or the skin gets the rigid transform there.
+//! 4. Folding: the Jacobian determinant of `y + d(y)` from central differences and from the eight corners of each voxel; voxels
 //!    below the limit and their neighbours are averaged with their neighbours until none is left.
-//! 4. Inverse: Newton's method per voxel on the trilinear field.
+//! 5. Inverse: Newton's method per voxel on the trilinear field.
 //!
 //! # Source
 //! [Drakopoulos2017] section 3.7.2 (deformation field update, eq. 6).
 //!
 //! # Differences
 //! Eq. 6 adds the fields of the iterations; here every iteration fits the whole deformation anew to matches that add up exactly.
-//! The repair and the inverse are ours.
+//! The fading, the repair and the inverse are ours.
 //!
 //! # Invariants
 //! Same bits for any number of threads; every vector is finite.
@@ -22,6 +24,7 @@
 use glam::{DMat3, DMat4, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
+use super::accuracy::squared_distances;
 use super::feature_points::voxel_of;
 use super::options::apply;
 use super::working_grid::coarser;
@@ -36,6 +39,9 @@ use crate::mesh::mixed_mesh::MixedMesh;
 
 /// Rounds of averaging at most; a fold of ten voxels across is gone after about a hundred.
 const MAX_REPAIRS: usize = 400;
+
+/// The displacement of the tissue is kept this far outside of it, mm: masks miss its rim.
+const KEPT: f64 = 10.0;
 
 /// Newton steps per voxel at most.
 const MAX_NEWTON: usize = 12;
@@ -119,6 +125,20 @@ pub fn rigid_field(matrix: &DMat4, grid: &Grid) -> Result<VectorImage> {
 /// None for a finite field.
 pub fn resample_field(field: &VectorImage, grid: &Grid) -> Result<VectorImage> {
     VectorImage::new(*grid, map_voxels(grid, |point, _| field.at_clamped(point).as_vec3()))
+}
+
+/// Fades a field to that of a rigid transform over `distance` mm outside of `inside`, beginning 10 mm from it.
+pub fn fade_to_rigid(field: &mut VectorImage, inside: &[bool], matrix: &DMat4, distance: f64) {
+    let grid = *field.grid();
+    let squared = squared_distances(inside, grid.size(), grid.spacing().to_array());
+    let faded = map_voxels(&grid, |point, at| {
+        let share = ((f64::from(squared[at]).sqrt() - KEPT) / distance).clamp(0.0, 1.0);
+        // The cubic with slope 0 at both ends.
+        let kept = 1.0 - share * share * (3.0 - 2.0 * share);
+        let rigid = (apply(matrix, point) - point).as_vec3();
+        if share == 0.0 { field.vectors()[at] } else { rigid + (field.vectors()[at] - rigid) * kept as f32 }
+    });
+    field.vectors_mut().copy_from_slice(&faded);
 }
 
 /// Smallest Jacobian determinant at every voxel: of central differences, and of the eight corners.
@@ -220,13 +240,20 @@ fn ring(voxels: &[usize], size: [usize; 3]) -> Vec<usize> {
 }
 
 /// The inverse of `field` on `grid`: displacements from points of the moving space to the fixed space. `start` maps moving
-/// points to fixed points roughly. Voxels outside of `inside` are interpolated from a grid of twice the spacing.
+/// points to fixed points roughly. Voxels outside of `inside` are interpolated from a grid of twice the spacing, where the
+/// inverse is that of `outer`.
 ///
 /// # Errors
 /// None for a finite field.
-pub fn invert(field: &VectorImage, grid: &Grid, inside: &[bool], start: &DMat4) -> Result<VectorImage> {
+pub fn invert(
+    field: &VectorImage,
+    outer: &VectorImage,
+    grid: &Grid,
+    inside: &[bool],
+    start: &DMat4,
+) -> Result<VectorImage> {
     let coarse = coarser(grid, 2.0)?;
-    let rough = map_voxels(&coarse, |point, _| (invert_point(field, point, apply(start, point)) - point).as_vec3());
+    let rough = map_voxels(&coarse, |point, _| (invert_point(outer, point, apply(start, point)) - point).as_vec3());
     let rough = VectorImage::new(coarse, rough)?;
     let vectors = map_voxels(grid, |point, at| {
         let guess = rough.at_clamped(point);
@@ -289,7 +316,7 @@ mod tests {
     #[test]
     fn field_and_inverse_cancel() {
         let field = wave(2.0);
-        let inverse = invert(&field, &grid(), &vec![true; 30 * 28 * 26], &DMat4::IDENTITY).unwrap();
+        let inverse = invert(&field, &field, &grid(), &vec![true; 30 * 28 * 26], &DMat4::IDENTITY).unwrap();
         for index in [DVec3::new(10.0, 12.0, 9.0), DVec3::new(15.0, 8.0, 20.0)] {
             let at = grid().offset(index.x as usize, index.y as usize, index.z as usize);
             let moving = grid().index_to_world(index);
@@ -305,6 +332,25 @@ mod tests {
         let field = VectorImage::new(grid(), map_voxels(&grid(), |p, _| (matrix * p).as_vec3())).unwrap();
         let expected = (DMat3::IDENTITY + matrix).determinant();
         assert!(jacobian_determinants(&field).iter().all(|d| (f64::from(*d) - expected).abs() < 1e-3));
+    }
+
+    #[test]
+    fn outside_of_the_tissue_the_field_becomes_rigid() {
+        let matrix = DMat4::from_translation(DVec3::new(3.0, -2.0, 1.0)) * DMat4::from_rotation_z(0.1);
+        let mut field = before_rigid(&wave(2.0), &matrix).unwrap();
+        let before = field.clone();
+        let inside: Vec<bool> = (0..field.vectors().len()).map(|at| voxel_of(at, grid().size())[0] < 8).collect();
+        fade_to_rigid(&mut field, &inside, &matrix, 20.0);
+        for (at, (was, is)) in before.vectors().iter().zip(field.vectors()).enumerate() {
+            let [i, j, k] = voxel_of(at, grid().size());
+            let distance = 2.0 * (i as f64 - 7.0).max(0.0);
+            let point = grid().index_to_world(DVec3::new(i as f64, j as f64, k as f64));
+            let rigid = (apply(&matrix, point) - point).as_vec3();
+            let kept = (*is - rigid).length() / (*was - rigid).length();
+            assert!(distance > KEPT || was == is, "{distance}");
+            assert!(distance < KEPT + 20.0 || (*is - rigid).length() < 1e-6, "{distance}");
+            assert!(distance != KEPT + 10.0 || (kept - 0.5).abs() < 1e-3, "{kept}");
+        }
     }
 
     #[test]

@@ -56,7 +56,9 @@ use crate::mesh::mixed_mesh::{ArrayData, MixedMesh, NamedArray};
 
 use accuracy::{edge_distances, landmark_errors};
 use adaptive_loop::{Block, LoopResult, Mesher, Scans, adaptive_loop};
-use displacement_field::{invert, invert_point, jacobian_determinants, repair_folds, resample_field, rigid_field};
+use displacement_field::{
+    fade_to_rigid, invert, invert_point, jacobian_determinants, repair_folds, resample_field, rigid_field,
+};
 use foreground::{bright_value, foreground};
 use options::{MeshMethod, MeshOptions, Options, apply};
 use report::Report;
@@ -257,6 +259,7 @@ fn outputs(
     let LoopResult { field: mut loop_field, first_mesh, blocks, cavity, coarse_grid, .. } = found;
     let first = repair_folds(&mut loop_field, options.adaptive.min_jacobian);
     let mut field = resample_field(&loop_field, input.fixed.grid())?;
+    fade_to_rigid(&mut field, inside, &rigid, options.adaptive.fade_distance);
     let second = repair_folds(&mut field, options.adaptive.min_jacobian);
     report.folded_before = first.folded_before + second.folded_before;
     report.smoothed = first.smoothed + second.smoothed;
@@ -264,7 +267,7 @@ fn outputs(
     context.check()?;
     let to_fixed = rigid.inverse();
     let moving_inside = foreground(input.moving, None, "moving")?;
-    let inverse = invert(&loop_field, input.moving.grid(), &moving_inside, &to_fixed)?;
+    let inverse = invert(&loop_field, &field, input.moving.grid(), &moving_inside, &to_fixed)?;
     context.check()?;
     let warped = warp_scan(input.moving, &field, input.fixed.grid())?;
     let mut labels = warp_labels(input.segmentation, &field, input.fixed.grid())?;

@@ -237,6 +237,8 @@ pub struct AdaptiveOptions {
     pub min_update: f64,
     /// Smallest Jacobian determinant of the returned field.
     pub min_jacobian: f64,
+    /// Distance over which the field becomes rigid outside of the tissue, mm.
+    pub fade_distance: f64,
 }
 
 impl Options {
@@ -409,6 +411,7 @@ fn adaptive_options(parameters: &ParameterSet) -> AdaptiveOptions {
         resected_stiffness: parameters.real("resected-stiffness"),
         min_update: parameters.real("min-update"),
         min_jacobian: parameters.real("min-jacobian"),
+        fade_distance: parameters.real("fade-distance"),
     }
 }
 

@@ -666,6 +666,16 @@ pub const PARAMETERS: Table = &[
         doc: "Smallest Jacobian determinant of the returned field; where it is smaller, the field is smoothed.",
     },
     Parameter {
+        name: "fade-distance",
+        alias: None,
+        kind: Kind::Real { min: 0.0, max: f64::INFINITY, open_min: true },
+        default: Default::Real(40.0),
+        unit: "mm",
+        multiplicity: Multiplicity::Single,
+        group: "Adaptive loop",
+        doc: "Outside of the tissue of the fixed scan the field is continued for 10 mm, then becomes that of the rigid transform over this distance.",
+    },
+    Parameter {
         name: "hd-evaluation",
         alias: Some("HDEvaluation"),
         kind: Kind::Flag,
