@@ -16,7 +16,7 @@
 use glam::DVec3;
 
 use crate::geometry::tetrahedron::{edge_vectors, face_normals, volume6};
-use crate::lattice::scaffold::SCAFFOLD_WEIGHT;
+use crate::lattice::scaffold::SCAFFOLD_ANGLE;
 
 /// The largest angle counts this much less than the smallest: 15 and 155 degrees score alike.
 const LARGE_ANGLE_WEIGHT: f64 = 0.6;
@@ -94,7 +94,7 @@ struct Limits {
 pub enum Part {
     /// The mesh.
     Mesh,
-    /// The scaffold around it, whose shape counts less.
+    /// The scaffold around it, whose shape counts only where it is nearly flat.
     Scaffold,
 }
 
@@ -102,15 +102,14 @@ impl Part {
     /// A score of a tet of this part as the rest is compared with it.
     #[inline]
     fn weighted(self, score: f64) -> f64 {
-        if self == Self::Scaffold && score > 0.0 { SCAFFOLD_WEIGHT * score } else { score }
+        if self == Self::Scaffold && score >= SCAFFOLD_ANGLE { f64::INFINITY } else { score }
     }
 }
 
 impl Threshold {
     /// The threshold of a score in degrees.
     pub fn of(score: f64) -> Self {
-        let weight = if score > 0.0 { SCAFFOLD_WEIGHT } else { 1.0 };
-        Self { own: Limits::of(score), scaffold: Limits::of(score / weight) }
+        Self { own: Limits::of(score), scaffold: Limits::of(score.min(SCAFFOLD_ANGLE)) }
     }
 
     #[inline]

@@ -31,9 +31,10 @@ use crate::geometry::tetrahedron::volume6;
 use crate::image::label_image::LabelImage;
 use crate::lattice::boundary_targets::SourcePoints;
 use crate::lattice::candidate_mesh::CandidateMesh;
-use crate::lattice::element_score::{Ball, Part, Threshold};
+use crate::lattice::element_score::{Ball, Part, Threshold, tet_score};
 use crate::lattice::improvement_mesh::ImprovementMesh;
-use crate::lattice::local_transformations::{TransformationCounts, transform};
+use crate::lattice::local_transformations::{TransformationCounts, loosen_scaffold, transform};
+use crate::lattice::scaffold::STIFF_SCAFFOLD_ANGLE;
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
@@ -140,6 +141,9 @@ pub fn improve(
         let surfaces = if round + YIELDING_ROUNDS >= ROUNDS { Surfaces::MayYield } else { Surfaces::Stay };
         let low = relax_all(&mut work, RELAXATION_BOUNDS[round], wanted, context)?;
         let effort = Effort { wanted, surfaces, slack };
+        if may_transform {
+            loosen_all(&mut work);
+        }
         raise_low_tets(&mut work, low, &effort, may_transform.then_some(&mut summary.counts), context)?;
         if round + 1 < ROUNDS {
             update_offsets(&mut work, &wanted_volumes, image);
@@ -150,7 +154,11 @@ pub fn improve(
         let slack = slack * image.grid().spacing().min_element();
         let effort = Effort { wanted, surfaces: Surfaces::MayYield, slack };
         let low = low_tets(&work, wanted);
-        let counts = (options.transformations == Transformations::Local).then_some(&mut summary.counts);
+        let may_transform = options.transformations == Transformations::Local;
+        if may_transform {
+            loosen_all(&mut work);
+        }
+        let counts = may_transform.then_some(&mut summary.counts);
         raise_low_tets(&mut work, low, &effort, counts, context)?;
     }
     for _ in 0..options.laplacian_iterations {
@@ -195,6 +203,19 @@ fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunC
     candidates.sort_unstable();
     candidates.dedup();
     Ok(low_among(work, candidates.into_par_iter(), wanted))
+}
+
+/// Makes nearly flat tets of the scaffold better.
+fn loosen_all(work: &mut ImprovementMesh) {
+    let is_stiff = |t: &u32| {
+        work.is_live(*t) && work.part(*t) == Part::Scaffold && tet_score(work.corners(*t)) < STIFF_SCAFFOLD_ANGLE
+    };
+    let stiff: Vec<u32> = (0..work.tets.len() as u32).into_par_iter().with_min_len(4096).filter(is_stiff).collect();
+    for t in stiff {
+        if work.is_live(t) && work.part(t) == Part::Scaffold {
+            loosen_scaffold(work, t);
+        }
+    }
 }
 
 /// Tets below the wanted score, worst first.

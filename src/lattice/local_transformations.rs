@@ -25,8 +25,9 @@
 //! The mesh conforms after each call; the lowest score of the tets that were replaced has risen by `LEAST_GAIN` at least.
 
 use crate::index::Label;
-use crate::lattice::element_score::{Part, Threshold, part_fails, part_score};
+use crate::lattice::element_score::{Part, Threshold, part_fails, tet_score};
 use crate::lattice::improvement_mesh::{ImprovementMesh, part_of};
+use crate::lattice::scaffold::SCAFFOLD_ANGLE;
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::vertex_optimization::optimize_vertex;
 use crate::mesh::numbering::{TET_EDGES, TET_FACES};
@@ -92,6 +93,18 @@ pub fn transform(mesh: &mut ImprovementMesh, t: u32, slack: f64, counts: &mut Tr
     false
 }
 
+/// Lowest score of tets of one label, also where that is the scaffold's.
+fn lowest_shape(mesh: &ImprovementMesh, tets: &[u32]) -> f64 {
+    tets.iter().map(|t| tet_score(mesh.corners(*t))).fold(f64::INFINITY, f64::min)
+}
+
+/// Makes a nearly flat tet of the scaffold better, so that its vertices can move.
+pub fn loosen_scaffold(mesh: &mut ImprovementMesh, t: u32) {
+    let tet = mesh.tets[t as usize];
+    let removed = TET_EDGES.into_iter().any(|[a, b]| remove_edge(mesh, tet[a], tet[b], f64::NEG_INFINITY));
+    let _ = removed || (0..4).any(|face| exchange_face(mesh, t, face));
+}
+
 /// Replaces the tets around an inner edge by the best triangulation of their ring.
 fn remove_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, at_least: f64) -> bool {
     let shell = mesh.shell(a, b);
@@ -103,8 +116,8 @@ fn remove_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, at_least: f64) -> boo
         return false;
     }
     let Some(ring) = mesh.ring(a, b, &shell) else { return false };
-    let needed = (mesh.lowest(&shell) + LEAST_GAIN).max(at_least);
-    let Some(triangles) = best_triangulation(mesh, [a, b], &ring, part_of(label), needed) else { return false };
+    let needed = (lowest_shape(mesh, &shell) + LEAST_GAIN).max(at_least);
+    let Some(triangles) = best_triangulation(mesh, [a, b], &ring, needed) else { return false };
     let mut new = Vec::with_capacity(2 * triangles.len());
     for [i, j, k] in triangles {
         let [p, q, r] = [ring[i], ring[j], ring[k]];
@@ -136,13 +149,7 @@ fn creates_known_edge(mesh: &ImprovementMesh, ring: &[u32], new: &[([u32; 4], La
 }
 
 /// [Klincsek1980]: the triangulation of the ring with the highest lowest score, above `needed`.
-fn best_triangulation(
-    mesh: &ImprovementMesh,
-    [a, b]: [u32; 2],
-    ring: &[u32],
-    part: Part,
-    needed: f64,
-) -> Option<Vec<[usize; 3]>> {
+fn best_triangulation(mesh: &ImprovementMesh, [a, b]: [u32; 2], ring: &[u32], needed: f64) -> Option<Vec<[usize; 3]>> {
     let n = ring.len();
     let at = |v: u32| mesh.points[v as usize];
     let mut best = [[f64::INFINITY; LONGEST_RING]; LONGEST_RING];
@@ -157,9 +164,9 @@ fn best_triangulation(
                     continue;
                 }
                 let [p, q, r] = [at(ring[i]), at(ring[j]), at(ring[k])];
-                score = score.min(part_score([p, q, r, at(b)], part));
+                score = score.min(tet_score([p, q, r, at(b)]));
                 if score > best[i][k].max(needed) {
-                    score = score.min(part_score([q, p, r, at(a)], part));
+                    score = score.min(tet_score([q, p, r, at(a)]));
                 }
                 if score > best[i][k] {
                     best[i][k] = score;
@@ -200,9 +207,8 @@ fn exchange_face(mesh: &mut ImprovementMesh, t: u32, face: usize) -> bool {
     }
     // The face p q r is outward from `inner`, so p, q, inner, outer is positive where the three new tets fill the old two.
     let new = [[p, q, inner, outer], [q, r, inner, outer], [r, p, inner, outer]].map(|tet| (tet, label));
-    let needed = mesh.lowest(&[t, other]) + LEAST_GAIN;
-    let part = part_of(label);
-    if new.iter().any(|(tet, _)| part_score(tet.map(|v| mesh.points[v as usize]), part) <= needed) {
+    let needed = lowest_shape(mesh, &[t, other]) + LEAST_GAIN;
+    if new.iter().any(|(tet, _)| tet_score(tet.map(|v| mesh.points[v as usize])) <= needed) {
         return false;
     }
     mesh.replace(&[t, other], &new);
@@ -401,10 +407,12 @@ fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool
     let flat = before[0].dot(before[1]) > SMALLEST_NORMAL_COSINE
         && after[0].dot(after[1]) > SMALLEST_NORMAL_COSINE
         && before[0].dot(after[0]).abs() > SMALLEST_NORMAL_COSINE;
-    if !flat || [a, b, c, d].iter().any(|v| mesh.sides(*v).len() > 2 || mesh.fixed[*v as usize]) {
+    // Two labels only meet at a b and one at c d, so no junction line is touched; the image border keeps its own edges.
+    let at_border = |v: u32| mesh.sides(v).iter().any(|s| matches!(s, Side::Border(_)));
+    let must_stay = |v: u32| mesh.fixed[v as usize] || at_border(v) && mesh.sides(v).len() > 2;
+    if !flat || [a, b, c, d].into_iter().any(must_stay) {
         return false;
     }
-    let before_turn = mesh.score(t);
     match behind {
         [None, None] => {
             // Outside of the mesh: nothing is left to be flat. Both ends keep other tets, or they would be lost.
@@ -420,13 +428,13 @@ fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool
                 return false;
             }
             mesh.labels[t as usize] = other;
-            let score = mesh.score(t);
+            let score = lowest_shape(mesh, &[t]);
             if remove_edge(mesh, a, b, score) {
                 return true;
             }
             // A scaffold may be flat, and the ends of the edge keep other tets, or they would be lost.
             let is_used = |v: u32| mesh.ball(v).iter().any(|n| mesh.part(*n) == Part::Mesh);
-            if part_of(other) == Part::Scaffold && score > before_turn + LEAST_GAIN && is_used(a) && is_used(b) {
+            if part_of(other) == Part::Scaffold && score >= SCAFFOLD_ANGLE && is_used(a) && is_used(b) {
                 return true;
             }
             mesh.labels[t as usize] = label;

@@ -13,15 +13,17 @@
 //! One layer of elements in space; `surface_crossings` has a last look.
 //!
 //! # Invariants
-//! Scaffold elements have no part in the result. Their shape counts `SCAFFOLD_WEIGHT` times milder than that of others.
+//! Scaffold elements have no part in the result. Their shape does not count as long as they stay above `SCAFFOLD_ANGLE`.
 
 use glam::DVec3;
 
 use crate::index::{Label, VertexId};
 
-/// Score of a scaffold element counts this many times: an angle of 1.5 degrees is as good as one of 15 elsewhere. They need
-/// to be positive, no more.
-pub const SCAFFOLD_WEIGHT: f64 = 10.0;
+/// Score in degrees that scaffold elements keep: positive, with room for rounding, no more.
+pub const SCAFFOLD_ANGLE: f64 = 0.5;
+
+/// Scaffold elements below this score are transformed where that helps, so that they do not lock their vertices.
+pub const STIFF_SCAFFOLD_ANGLE: f64 = 4.0;
 
 /// Background elements around a mesh.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -119,6 +119,7 @@ fn search_place(mesh: &mut ImprovementMesh, v: u32, wanted: f64, slack: f64, bal
         return best;
     }
     let on_surface = mesh.is_on_surface(v);
+    let start = place;
     let mut needed = Threshold::of(best);
     let mut step = FIRST_STEP * ball.edge_length(place);
     let mut halvings = 0;
@@ -131,7 +132,7 @@ fn search_place(mesh: &mut ImprovementMesh, v: u32, wanted: f64, slack: f64, bal
             let Some(score) = ball.score_above(trial, &needed) else { continue };
             let better = if on_surface {
                 // Only now the price of a projection: most directions fail already.
-                on_surface_trial(mesh, v, trial, step, slack, &needed, ball)
+                on_surface_trial(mesh, v, trial, [step, slack], start, &needed, ball)
             } else {
                 Some((trial, score))
             };
@@ -152,28 +153,25 @@ fn search_place(mesh: &mut ImprovementMesh, v: u32, wanted: f64, slack: f64, bal
     best
 }
 
-/// The trial brought to within `slack` of the surface, when it still scores above what is needed.
+/// The trial brought to within `slack` of the surface, or of where the vertex stood, when it still scores above what is
+/// needed. Where many labels crowd, the surfaces of all sides of a vertex may meet nowhere near.
 fn on_surface_trial(
     mesh: &ImprovementMesh,
     v: u32,
     trial: DVec3,
-    step: f64,
-    slack: f64,
+    [step, slack]: [f64; 2],
+    start: DVec3,
     needed: &Threshold,
     ball: &mut Ball,
 ) -> Option<(DVec3, f64)> {
-    let exact = mesh.surface.project(trial, mesh.sides(v), 4.0 * step + 4.0 * slack)?;
-    let offset = trial - exact;
     let is_bound_to_plane =
         mesh.sides(v).iter().any(|s| matches!(s, crate::lattice::subvoxel_surface::Side::Border(_)));
-    for part in [0.0, 1.0] {
-        let place = exact + offset.clamp_length_max(slack * part);
-        if let Some(score) = ball.score_above(place, needed) {
-            return Some((place, score));
-        }
-        if is_bound_to_plane {
-            break;
-        }
-    }
-    None
+    let within = |center: DVec3| center + (trial - center).clamp_length_max(slack);
+    let exact = mesh.surface.project(trial, mesh.sides(v), 4.0 * step + 4.0 * slack);
+    let places = match exact {
+        Some(exact) => [Some(exact), Some(within(exact)), Some(within(start))],
+        None => [None, None, Some(within(start))],
+    };
+    let allowed = if is_bound_to_plane { 1 } else { 3 };
+    places.into_iter().take(allowed).flatten().find_map(|place| Some((place, ball.score_above(place, needed)?)))
 }
