@@ -116,7 +116,7 @@ mod tests {
             let in_speck = (p - DVec3::splat(16.5)).abs().max_element() < 1.6;
             Label(u16::from(in_speck || p.distance(DVec3::splat(7.2)) < 5.5))
         };
-        LabelImage::new(grid, (0..N * N * N).map(|i| label(i)).collect(), vec![0, 1]).unwrap()
+        LabelImage::new(grid, (0..N * N * N).map(label).collect(), vec![0, 1]).unwrap()
     }
 
     /// Regions left when those below a share of the label become what is around them.
