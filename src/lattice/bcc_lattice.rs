@@ -19,6 +19,7 @@
 //! Long edges of a stored tet are its local edges 01 and 23; orientation is positive.
 
 use glam::{DVec3, IVec3};
+use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use crate::context::RunContext;
@@ -316,14 +317,27 @@ impl LatticeVertices {
         frame: &LatticeFrame,
         field: &Field,
     ) -> (u32, bool) {
+        let found = self.insert_unlabelled(position, ends);
+        self.label_new(frame, field);
+        found
+    }
+
+    /// As [`Self::insert_middle`]; [`Self::label_new`] follows when all are there.
+    pub fn insert_unlabelled(&mut self, position: IVec3, ends: [u32; 2]) -> (u32, bool) {
         let next = self.positions.len() as u32;
         let vertex = *self.index.entry(key_of(position)).or_insert(next);
         if vertex == next {
             self.positions.push(position);
-            self.labels.push(field.label_at(frame.local(position)));
             self.parents.push(ends);
         }
         (vertex, vertex == next)
+    }
+
+    /// Labels the vertices that have none yet.
+    pub fn label_new(&mut self, frame: &LatticeFrame, field: &Field) {
+        let new = &self.positions[self.labels.len()..];
+        let label = |position: &IVec3| field.label_at(frame.local(*position));
+        self.labels.par_extend(new.par_iter().with_min_len(1024).map(label));
     }
 
     /// The vertex at an integer position.

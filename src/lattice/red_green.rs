@@ -118,6 +118,7 @@ impl<'a> RedGreenLattice<'a> {
                 };
                 pending = self.promoted(near);
             }
+            self.vertices.label_new(&self.frame, &self.field);
             // A child of a promoted tet can itself have edges that its neighbours split.
             let is_new = self.replace_by_children(&splits, context)?;
             pending = self.promoted(|t| is_new[t]);
@@ -135,7 +136,7 @@ impl<'a> RedGreenLattice<'a> {
         for (e, [a, b]) in TET_EDGES.into_iter().enumerate() {
             let ends = [corners[a], corners[b]];
             let middle = (positions[a] + positions[b]) / 2;
-            let (vertex, is_new) = self.vertices.insert_middle(middle, ends, &self.frame, &self.field);
+            let (vertex, is_new) = self.vertices.insert_unlabelled(middle, ends);
             middles[e] = vertex;
             if is_new {
                 touched.resize(self.vertices.positions.len(), false);
