@@ -13,6 +13,9 @@ use meshwright::conforming::delaunay_kernel::{DelaunayOptions, tetrahedralize};
 use meshwright::context::RunContext;
 use meshwright::geometry::spatial_sort::mix;
 
+mod process_usage;
+use process_usage::usage;
+
 fn sequence(seed: u64) -> impl FnMut() -> f64 {
     let mut state = seed;
     move || {
@@ -61,16 +64,6 @@ fn grid(count: usize) -> Vec<DVec3> {
 /// A cubic grid of about `count` points with whole coordinates.
 fn lattice(count: usize) -> Vec<DVec3> {
     grid(count).into_iter().map(|p| (p * 10.0).round()).collect()
-}
-
-/// User and system seconds of this process, and its peak resident memory in bytes.
-fn usage() -> (f64, u64) {
-    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or("").split_whitespace().collect();
-    let ticks = |i: usize| fields.get(i).and_then(|f| f.parse::<f64>().ok()).unwrap_or(f64::NAN);
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let peak = status.lines().find_map(|l| l.strip_prefix("VmHWM:")?.split_whitespace().next()?.parse::<u64>().ok());
-    ((ticks(11) + ticks(12)) / 100.0, peak.unwrap_or(0) * 1024)
 }
 
 fn main() {

@@ -22,6 +22,9 @@ use meshwright::lattice::{self, Options, PARAMETERS};
 use meshwright::mesh::quality::mesh_quality;
 use meshwright::parameters::ParameterSet;
 
+mod process_usage;
+use process_usage::usage;
+
 /// Parcels of the made head.
 const PARCELS: u64 = 96;
 
@@ -61,16 +64,6 @@ fn head(size: usize) -> LabelImage {
         .collect();
     let grid = Grid::new(extent, DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).expect("a valid grid");
     LabelImage::new(grid, voxels, (0..=PARCELS as i32 + 2).collect()).expect("labels within the table")
-}
-
-/// User and system seconds of this process, and its peak resident memory in bytes.
-fn usage() -> (f64, u64) {
-    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or("").split_whitespace().collect();
-    let ticks = |i: usize| fields.get(i).and_then(|f| f.parse::<f64>().ok()).unwrap_or(f64::NAN);
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let peak = status.lines().find_map(|l| l.strip_prefix("VmHWM:")?.split_whitespace().next()?.parse::<u64>().ok());
-    ((ticks(11) + ticks(12)) / 100.0, peak.unwrap_or(0) * 1024)
 }
 
 /// Meshes one case in this process; prints tets, CPU and wall seconds, bytes per tet, smallest and largest angle.

@@ -18,6 +18,9 @@ use meshwright::io::{WriteOptions, read_surface, write_mesh, write_surface};
 use meshwright::mesh::surface_mesh::SurfaceMesh;
 use rustc_hash::FxHashMap;
 
+mod process_usage;
+use process_usage::usage;
+
 /// A sphere: the octahedron's faces cut into `n * n` triangles each.
 fn sphere(n: usize, radius: f64) -> SurfaceMesh {
     projected(n, |p| radius * p.normalize(), false)
@@ -77,16 +80,6 @@ fn surface(name: &str, tets: f64) -> SurfaceMesh {
         }
         other => panic!("unknown case {other}"),
     }
-}
-
-/// User and system seconds of this process, and its peak resident memory in bytes.
-fn usage() -> (f64, u64) {
-    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or("").split_whitespace().collect();
-    let ticks = |i: usize| fields.get(i).and_then(|f| f.parse::<f64>().ok()).unwrap_or(f64::NAN);
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let peak = status.lines().find_map(|l| l.strip_prefix("VmHWM:")?.split_whitespace().next()?.parse::<u64>().ok());
-    ((ticks(11) + ticks(12)) / 100.0, peak.unwrap_or(0) * 1024)
 }
 
 /// One run in this process: prints `tets cpu wall peak`.
