@@ -21,12 +21,13 @@
 //! # Limits
 //! Where a point cannot be taken off the edge, the segment counts as split, and `partition_elimination` tries again.
 
-use rustc_hash::{FxHashMap, FxHashSet};
+use rustc_hash::FxHashSet;
 
 use super::Effort;
 use super::cavity_filling::fill_cavity;
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, edge_key};
 use super::edge_recovery::{fill_with_edge, recover_edge};
+use super::face_recovery::parts_of_front;
 use super::partition_elimination::kernel_point;
 use super::steiner_points::insert_on_segment;
 use super::steiner_removal::{remove_vertex, thin_ball};
@@ -217,42 +218,10 @@ fn fill_parts(
 /// The two parts of a closed front that the cycle a p b q separates, each closed by the faces a b p and a b q; `None`
 /// where it does not cut the front in two.
 fn cut_front(front: &[[VertexId; 3]], [a, b]: EdgeKey, pages: [VertexId; 2]) -> Option<[Vec<[VertexId; 3]>; 2]> {
-    let mut at_edge: FxHashMap<EdgeKey, Vec<usize>> = FxHashMap::default();
-    for (i, &[x, y, z]) in front.iter().enumerate() {
-        for key in [edge_key(x, y), edge_key(y, z), edge_key(x, z)] {
-            at_edge.entry(key).or_default().push(i);
-        }
-    }
     let border: Vec<EdgeKey> = pages.iter().flat_map(|&p| [edge_key(a, p), edge_key(b, p)]).collect();
-    let directed = |[x, y, z]: [VertexId; 3], u: VertexId, v: VertexId| [[x, y], [y, z], [z, x]].contains(&[u, v]);
-    let mut seen = vec![false; front.len()];
-    let mut parts = [Vec::new(), Vec::new()];
     let [p, q] = pages;
     // The half on the left of a -> p is closed by p a b, and has q on its other border; the other half mirrored.
-    for (part, (from, to)) in parts.iter_mut().zip([(a, p), (p, a)]) {
-        let seed = *at_edge.get(&edge_key(a, p))?.iter().find(|&&i| directed(front[i], from, to))?;
-        let mut stack = vec![seed];
-        if std::mem::replace(&mut seen[seed], true) {
-            return None;
-        }
-        while let Some(i) = stack.pop() {
-            part.push(front[i]);
-            let [x, y, z] = front[i];
-            for key in [edge_key(x, y), edge_key(y, z), edge_key(x, z)] {
-                if border.contains(&key) {
-                    continue;
-                }
-                for &j in &at_edge[&key] {
-                    if !std::mem::replace(&mut seen[j], true) {
-                        stack.push(j);
-                    }
-                }
-            }
-        }
-    }
-    if !seen.iter().all(|&s| s) {
-        return None;
-    }
+    let mut parts = parts_of_front(front, &border, [a, p])?;
     parts[0].extend([[p, a, b], [a, q, b]]);
     parts[1].extend([[a, p, b], [q, a, b]]);
     Some(parts)

@@ -157,6 +157,19 @@ fn fill_with_face(
 pub fn split_front(front: &[[VertexId; 3]], face: FaceKey) -> Option<[Vec<[VertexId; 3]>; 2]> {
     let [a, b, c] = face;
     let border = [edge_key(a, b), edge_key(b, c), edge_key(a, c)];
+    let mut parts = parts_of_front(front, &border, [a, b])?;
+    parts[0].push([b, a, c]);
+    parts[1].push([a, b, c]);
+    Some(parts)
+}
+
+/// The faces of a closed front on the two sides of a cycle of edges: first those on the side of the face that has the
+/// edge `along`, one of the cycle, in this direction; `None` where the cycle does not cut the front in two.
+pub fn parts_of_front(
+    front: &[[VertexId; 3]],
+    cycle: &[EdgeKey],
+    along: [VertexId; 2],
+) -> Option<[Vec<[VertexId; 3]>; 2]> {
     let mut at_edge: FxHashMap<EdgeKey, Vec<usize>> = FxHashMap::default();
     for (i, &[x, y, z]) in front.iter().enumerate() {
         for key in [edge_key(x, y), edge_key(y, z), edge_key(x, z)] {
@@ -164,20 +177,20 @@ pub fn split_front(front: &[[VertexId; 3]], face: FaceKey) -> Option<[Vec<[Verte
         }
     }
     let directed = |[x, y, z]: [VertexId; 3], u: VertexId, v: VertexId| [[x, y], [y, z], [z, x]].contains(&[u, v]);
-    let mut parts = [Vec::new(), Vec::new()];
+    let [from, to] = along;
     let mut seen = vec![false; front.len()];
-    for (part, (u, v, closing)) in [(a, b, [b, a, c]), (b, a, [a, b, c])].into_iter().enumerate() {
-        let seed = *at_edge.get(&edge_key(a, b))?.iter().find(|&&i| directed(front[i], u, v))?;
-        if seen[seed] {
+    let mut parts = [Vec::new(), Vec::new()];
+    for (part, (u, v)) in parts.iter_mut().zip([(from, to), (to, from)]) {
+        let seed = *at_edge.get(&edge_key(from, to))?.iter().find(|&&i| directed(front[i], u, v))?;
+        if std::mem::replace(&mut seen[seed], true) {
             return None;
         }
-        seen[seed] = true;
         let mut stack = vec![seed];
         while let Some(i) = stack.pop() {
-            parts[part].push(front[i]);
+            part.push(front[i]);
             let [x, y, z] = front[i];
             for key in [edge_key(x, y), edge_key(y, z), edge_key(x, z)] {
-                if border.contains(&key) {
+                if cycle.contains(&key) {
                     continue;
                 }
                 for &j in &at_edge[&key] {
@@ -187,7 +200,6 @@ pub fn split_front(front: &[[VertexId; 3]], face: FaceKey) -> Option<[Vec<[Verte
                 }
             }
         }
-        parts[part].push(closing);
     }
     seen.iter().all(|&s| s).then_some(parts)
 }
