@@ -24,10 +24,11 @@ use glam::DVec3;
 use rustc_hash::FxHashMap;
 
 use super::kernel_mesh::KernelMesh;
+use crate::geometry::fixed_point::FixedPoint;
 use crate::geometry::perturbation::is_cospherical_point_inside;
 use crate::geometry::predicates::{
-    FaceCofactors, LiftedPoint, WholeGrid, are_box_corners, face_cofactors, insphere, insphere_error_bound,
-    insphere_exact, orient3d,
+    FaceCofactors, LiftedPoint, are_box_corners, face_cofactors, insphere, insphere_error_bound, insphere_exact,
+    orient3d,
 };
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_FACES;
@@ -70,15 +71,15 @@ pub(super) struct Cavity {
     edges: FxHashMap<(VertexId, VertexId), TetFace>,
     /// Error bound of every in-sphere determinant within the extent of all points.
     static_bound: f64,
-    /// Where all points lie on one: exact tests are cheap.
-    grid: Option<WholeGrid>,
+    /// Whole numbers for the exact tests.
+    fixed: Option<FixedPoint>,
     /// Determinants that the filters could not decide.
     pub exact_tests: u64,
 }
 
 impl Cavity {
-    /// Scratch for points within a box of this extent, all of them on `grid` if there is one.
-    pub fn new(extent: DVec3, grid: Option<WholeGrid>) -> Self {
+    /// Scratch for points within a box of this extent.
+    pub fn new(extent: DVec3, fixed: Option<FixedPoint>) -> Self {
         Self {
             tets: Vec::new(),
             boundary: Vec::new(),
@@ -88,7 +89,7 @@ impl Cavity {
             used_slots: Vec::new(),
             edges: FxHashMap::default(),
             static_bound: insphere_error_bound(extent, extent.length_squared()),
-            grid,
+            fixed,
             exact_tests: 0,
         }
     }
@@ -195,10 +196,11 @@ impl Cavity {
     fn exact_conflict(&mut self, tet: [DVec3; 4], point: DVec3) -> bool {
         self.exact_tests += 1;
         let [a, b, c, d] = tet;
-        let sign = match &self.grid {
-            _ if are_box_corners([a, b, c, d, point]) => 0.0,
-            Some(grid) => grid.insphere(a, b, c, d, point),
-            None => insphere_exact(a, b, c, d, point),
+        let sign = if are_box_corners([a, b, c, d, point]) {
+            0.0
+        } else {
+            let fixed = self.fixed.and_then(|fixed| fixed.insphere(a, b, c, d, point));
+            fixed.unwrap_or_else(|| insphere_exact(a, b, c, d, point))
         };
         if sign == 0.0 { is_cospherical_point_inside(tet, point) } else { sign > 0.0 }
     }

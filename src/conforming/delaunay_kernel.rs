@@ -31,7 +31,8 @@ use super::kernel_mesh::{ExclusiveMesh, KernelMesh, KernelRows, StoredPoint};
 use super::point_location::{Location, WalkRandom, locate};
 use crate::context::RunContext;
 use crate::error::{Error, Finding, FindingCode, Result, Severity};
-use crate::geometry::predicates::{WholeGrid, are_collinear, orient3d};
+use crate::geometry::fixed_point::FixedPoint;
+use crate::geometry::predicates::{are_collinear, orient3d};
 use crate::geometry::spatial_sort::{brio_order, hilbert_order, mix};
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_FACES;
@@ -181,7 +182,7 @@ pub(super) struct Kernel<'a> {
     pub cavity: Cavity,
     pub duplicates: Vec<(VertexId, VertexId)>,
     pub extent: DVec3,
-    pub grid: Option<WholeGrid>,
+    pub fixed: Option<FixedPoint>,
     pub context: &'a RunContext,
     random: WalkRandom,
     hint: TetId,
@@ -199,7 +200,7 @@ impl<'a> Kernel<'a> {
         let first_simplex = first_simplex(points, &order)?;
         let low = points.iter().fold(DVec3::INFINITY, |low, p| low.min(p.point));
         let high = points.iter().fold(DVec3::NEG_INFINITY, |high, p| high.max(p.point));
-        let grid = WholeGrid::of(points.iter().map(|p| p.point));
+        let fixed = FixedPoint::for_magnitude(low.abs().max(high.abs()).max_element());
         let mut rows = KernelRows::with_capacity((points.len() as f64 * EXPECTED_TETS) as usize + 64)?;
         let corners = first_simplex.map(|i| VertexId(order[i]));
         make_first_tets(&mut ExclusiveMesh { points, rows: &mut rows }, corners);
@@ -208,10 +209,10 @@ impl<'a> Kernel<'a> {
             order,
             round_ends,
             rows,
-            cavity: Cavity::new(high - low, grid),
+            cavity: Cavity::new(high - low, fixed),
             duplicates: Vec::new(),
             extent: high - low,
-            grid,
+            fixed,
             context,
             random: WalkRandom(1),
             hint: TetId(0),

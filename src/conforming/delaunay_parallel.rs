@@ -206,7 +206,7 @@ fn insert_pass(
         let mut slots = if k + 1 == threads { std::mem::take(&mut free) } else { free.split_off(free.len() - share) };
         slots.reverse();
         let mesh = SharedMesh { points: kernel.points, halves, marks, first, count, free: slots };
-        jobs.push((mesh, mine, Cavity::new(kernel.extent, kernel.grid)));
+        jobs.push((mesh, mine, Cavity::new(kernel.extent, kernel.fixed)));
     }
     let context = kernel.context;
     let parts: Vec<Result<Part>> =

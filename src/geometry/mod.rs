@@ -7,6 +7,7 @@
 pub mod aabb_tree;
 pub mod bounding_box;
 pub mod double_double;
+pub mod fixed_point;
 pub mod intersection;
 pub mod perturbation;
 pub mod point_grid;

@@ -41,10 +41,17 @@ pub fn is_in_perturbed_sphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) 
 
 /// The same for a point already known to be co-spherical with the tet.
 pub fn is_cospherical_point_inside(tet: [DVec3; 4], e: DVec3) -> bool {
-    let mut order = [0, 1, 2, 3, 4];
-    let point = |i: usize| if i < 4 { tet[i] } else { e };
-    order.sort_unstable_by(|&i, &j| compare_points(point(j), point(i)));
-    for i in order {
+    // The fifth and the others from the largest down; nearly always the first that is looked at decides.
+    let mut left = [0, 1, 2, 3, 4];
+    for count in (1..=5).rev() {
+        let point = |i: usize| if i < 4 { tet[i] } else { e };
+        let mut largest = 0;
+        for i in 1..count {
+            if compare_points(point(left[i]), point(left[largest])).is_gt() {
+                largest = i;
+            }
+        }
+        let i = left[largest];
         if i == 4 {
             return false;
         }
@@ -54,6 +61,7 @@ pub fn is_cospherical_point_inside(tet: [DVec3; 4], e: DVec3) -> bool {
         if sign != 0.0 {
             return sign > 0.0;
         }
+        left[largest] = left[count - 1];
     }
     false
 }

@@ -14,8 +14,8 @@
 //!    axis (and the largest squared distance). A caller that knows the extent of all its points can put the same
 //!    bound of the extent in front ([`insphere_error_bound`]), which costs one comparison.
 //! 3. In-sphere only: the same determinant with about 100 bits ([`super::double_double`]), which decides all but true
-//!    coincidences; or with whole numbers, which decides those too, where all points lie on a grid of whole numbers
-//!    times a power of two ([`WholeGrid`]).
+//!    coincidences. A caller that knows the largest coordinate can put whole numbers in front ([`super::fixed_point`]),
+//!    which decide those too.
 //! 4. Where nothing decided: adaptive exact arithmetic.
 //! # Source
 //! [Shewchuk1997], through the crate `robust`; the filter constants are derived below.
@@ -148,54 +148,6 @@ fn insphere_extended(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> (f64, 
     (det.high, EXTENDED_FACTOR * largest * lift + UNDERFLOW_GUARD)
 }
 
-/// A power of two of which all coordinates of a point set are small multiples.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct WholeGrid {
-    /// One over the step.
-    inverse_step: f64,
-}
-
-/// Differences up to this many steps keep every intermediate of the determinant below 2^127.
-const WHOLE_STEPS: f64 = (1u64 << 21) as f64;
-
-impl WholeGrid {
-    /// The grid of a point set, where there is one.
-    pub fn of(points: impl Iterator<Item = DVec3> + Clone) -> Option<Self> {
-        let low = points.clone().fold(DVec3::INFINITY, DVec3::min);
-        let high = points.clone().fold(DVec3::NEG_INFINITY, DVec3::max);
-        let extent = (high - low).max_element();
-        if !(extent > 0.0 && extent.is_finite()) {
-            return None;
-        }
-        // The finest step that keeps differences small enough; any coarser grid of powers of two lies on it.
-        let step = (extent.log2() - WHOLE_STEPS.log2()).ceil().exp2() * 2.0;
-        let inverse_step = 1.0 / step;
-        let on_grid = |x: f64| x * inverse_step == (x * inverse_step).round();
-        let fits =
-            |p: DVec3| p.to_array().into_iter().all(on_grid) && (p - low).max_element() * inverse_step <= WHOLE_STEPS;
-        if !inverse_step.is_normal() || !points.into_iter().all(fits) {
-            return None;
-        }
-        Some(Self { inverse_step })
-    }
-
-    /// The sign of the in-sphere determinant, exactly: positive when `e` lies inside.
-    pub fn insphere(&self, a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
-        // Differences of multiples of the step are exact in floating point: the quotients have at most 53 bits.
-        let row = |p: DVec3| {
-            let offset = ((p - e) * self.inverse_step).to_array().map(|x| i128::from(x as i64));
-            (offset, offset[0] * offset[0] + offset[1] * offset[1] + offset[2] * offset[2])
-        };
-        let triple = |p: &[i128; 3], q: &[i128; 3], r: &[i128; 3]| {
-            (p[1] * q[2] - p[2] * q[1]) * r[0] + (p[2] * q[0] - p[0] * q[2]) * r[1] + (p[0] * q[1] - p[1] * q[0]) * r[2]
-        };
-        let [(p, p_lift), (q, q_lift), (r, r_lift), (s, s_lift)] = [row(a), row(b), row(c), row(d)];
-        let det = triple(&q, &r, &s) * p_lift + triple(&r, &p, &s) * q_lift + triple(&p, &q, &s) * r_lift
-            - triple(&p, &q, &r) * s_lift;
-        det.signum() as f64
-    }
-}
-
 /// A point relative to the query point of an in-sphere test, with its squared distance.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct LiftedPoint {
@@ -306,19 +258,6 @@ mod tests {
             let exact = insphere_exact(a, b, c, d, e);
             assert_eq!(insphere(a, b, c, d, e).partial_cmp(&0.0), exact.partial_cmp(&0.0), "{a} {b} {c} {d} {e}");
         }
-    }
-
-    #[test]
-    fn whole_grids_are_recognised_and_exact() {
-        let mut next = sequence(9);
-        let points: Vec<DVec3> = (0..400).map(|_| (DVec3::new(next(), next(), next()) * 6.0).floor() * 0.25).collect();
-        let grid = WholeGrid::of(points.iter().copied()).unwrap();
-        for p in points.chunks_exact(5) {
-            let expected = -robust::insphere(coord(p[0]), coord(p[1]), coord(p[2]), coord(p[3]), coord(p[4]));
-            assert_eq!(grid.insphere(p[0], p[1], p[2], p[3], p[4]).partial_cmp(&0.0), expected.partial_cmp(&0.0));
-        }
-        assert!(WholeGrid::of(points.iter().map(|p| *p * 0.1)).is_none());
-        assert!(WholeGrid::of([DVec3::ZERO].into_iter()).is_none());
     }
 
     #[test]
