@@ -72,8 +72,14 @@ pub fn refine(
 ) -> Result<CandidateMesh> {
     context.progress("distance transform", 0.02);
     let frame = LatticeFrame::new(input.image, input.spacing)?;
-    let distance = report.timed("distance_transform", || distance_to_other_labels(input.image, context))?;
-    let components = report.timed("components", || Components::new(input.image, Connectivity::Vertex, Members::All));
+    // The components are found by one thread, while the others are at the distances.
+    let (distance, components) = report.timed("distance_transform", || {
+        rayon::join(
+            || distance_to_other_labels(input.image, context),
+            || Components::new(input.image, Connectivity::Vertex, Members::All),
+        )
+    });
+    let distance = distance?;
     let totals = count_voxels(input.image.voxels(), input.values.len());
     let field = Field::new(input.image, &distance);
     context.progress("lattice", PROGRESS.0);
@@ -88,7 +94,10 @@ pub fn refine(
         cubes = report.timed("mixed_elements", || mixed_elements::find_cubes(&lattice, &elements, limit))?;
     }
     let smooths = options.smoothing_iterations > 0;
-    Ok(report.timed("compaction", || mixed_elements::compact(&lattice, &elements, &cubes, smooths)))
+    let mesh = report.timed("compaction", || mixed_elements::compact(&lattice, &elements, &cubes, smooths));
+    // Giving memory back takes the system some time.
+    rayon::join(|| drop(elements), || drop(lattice));
+    Ok(mesh)
 }
 
 /// How far refinement for the sake of topology may go.
@@ -118,14 +127,14 @@ impl Rounds<'_> {
             let mut elements = self.report.timed("elements", || lattice.elements(self.context))?;
             let mut found = self.count(lattice, &elements)?;
             let mut deficit = self.deficit(&found);
-            let mut marked = mark_leaves(lattice, &elements, &found, &deficit, self.input.targets, finest);
+            let mut marked = self.mark(lattice, &elements, &found, &deficit, finest);
             if !marked.contains(&true) {
                 let by_centroid = elements.labels.clone();
                 let relabelled = self.relabel(lattice, &mut elements, |_| false)?;
                 found = self.count(lattice, &elements)?;
                 let after = self.deficit(&found);
                 if after.is_worse_than(&deficit) {
-                    marked = mark_leaves(lattice, &elements, &found, &after, self.input.targets, finest);
+                    marked = self.mark(lattice, &elements, &found, &after, finest);
                     if !marked.contains(&true) {
                         // At the finest level: keep the elements that hold voxels of their own label.
                         elements.labels = by_centroid;
@@ -165,6 +174,18 @@ impl Rounds<'_> {
 
     fn deficit(&self, found: &[Mismatch]) -> Deficit {
         Deficit::new(&self.totals, found, &self.components, self.input.targets)
+    }
+
+    fn mark(
+        &mut self,
+        lattice: &RedGreenLattice,
+        elements: &Elements,
+        found: &[Mismatch],
+        deficit: &Deficit,
+        finest: u32,
+    ) -> Vec<bool> {
+        let targets = self.input.targets;
+        self.report.timed("marking", || mark_leaves(lattice, elements, found, deficit, targets, finest))
     }
 
     fn relabel(

@@ -20,12 +20,13 @@
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
-use rustc_hash::FxHashMap;
 
 use crate::context::RunContext;
 use crate::error::{Error, Result};
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
+use crate::lattice::vertex_table::{NewVertex, VertexTable};
+use crate::mesh::numbering::TET_EDGES;
 
 /// Bits per axis of a vertex key: three axes fit one word.
 const KEY_BITS: u32 = 21;
@@ -284,12 +285,6 @@ impl<'a> Field<'a> {
     }
 }
 
-/// Key of an integer vertex.
-#[inline]
-pub fn key_of(vertex: IVec3) -> u64 {
-    vertex.x as u64 | (vertex.y as u64) << KEY_BITS | (vertex.z as u64) << (2 * KEY_BITS)
-}
-
 /// Vertices of the lattice: integers, labels, and the index of each key.
 #[derive(Default)]
 pub struct LatticeVertices {
@@ -299,7 +294,7 @@ pub struct LatticeVertices {
     pub labels: Vec<Label>,
     /// Ends of the edge in whose middle the vertex lies; the vertex itself, twice, at the coarsest level. 8 B / vertex.
     pub parents: Vec<[u32; 2]>,
-    index: FxHashMap<u64, u32>,
+    table: VertexTable,
 }
 
 impl LatticeVertices {
@@ -317,20 +312,37 @@ impl LatticeVertices {
         frame: &LatticeFrame,
         field: &Field,
     ) -> (u32, bool) {
-        let found = self.insert_unlabelled(position, ends);
-        self.label_new(frame, field);
-        found
-    }
-
-    /// As [`Self::insert_middle`]; [`Self::label_new`] follows when all are there.
-    pub fn insert_unlabelled(&mut self, position: IVec3, ends: [u32; 2]) -> (u32, bool) {
         let next = self.positions.len() as u32;
-        let vertex = *self.index.entry(key_of(position)).or_insert(next);
+        let vertex = self.table.insert(position, next);
         if vertex == next {
             self.positions.push(position);
             self.parents.push(ends);
+            self.label_new(frame, field);
         }
         (vertex, vertex == next)
+    }
+
+    /// The vertices in the middles of the six edges of each of the tets, without labels: [`Self::label_new`] follows.
+    ///
+    /// # Errors
+    /// [`Error::CapacityExceeded`] past 2^31 vertices.
+    pub fn insert_middles(&mut self, tets: &[[u32; 4]]) -> Result<Vec<[u32; 6]>> {
+        let old = self.positions.len();
+        if old + 6 * tets.len() > i32::MAX as usize {
+            let needed = (old + 6 * tets.len()) as u64;
+            return Err(Error::CapacityExceeded { what: "lattice vertices", needed, limit: i32::MAX as u64 });
+        }
+        let positions = &self.positions;
+        let middle = |tet: usize, e: usize| {
+            let [a, b] = TET_EDGES[e].map(|v| positions[tets[tet][v] as usize]);
+            (a + b) / 2
+        };
+        let inserted = self.table.insert_all(tets.len(), old as u32, middle);
+        let ends =
+            |vertex: &NewVertex| TET_EDGES[usize::from(vertex.asked_by.1)].map(|v| tets[vertex.asked_by.0 as usize][v]);
+        self.positions.par_extend(inserted.new.par_iter().with_min_len(1024).map(|v| v.position));
+        self.parents.par_extend(inserted.new.par_iter().with_min_len(1024).map(ends));
+        Ok(inserted.rows)
     }
 
     /// Labels the vertices that have none yet.
@@ -343,7 +355,7 @@ impl LatticeVertices {
     /// The vertex at an integer position.
     #[inline]
     pub fn find(&self, position: IVec3) -> Option<u32> {
-        self.index.get(&key_of(position)).copied()
+        self.table.find(position)
     }
 
     /// The vertex at the middle of an edge, where the edge is split.

@@ -18,11 +18,16 @@
 
 use std::collections::VecDeque;
 
+use rayon::prelude::*;
+
 use crate::index::Label;
 use crate::lattice::face_adjacency::OUTSIDE;
 
 /// Penalty of an element with this many foreign faces.
 const PENALTY: [i32; 5] = [0, 1, 8, 20, 40];
+
+/// Elements per parallel work item, at least.
+const CHUNK: usize = 1 << 14;
 
 /// What the relabelling did.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -40,7 +45,7 @@ pub fn relabel_for_smoothing(
     is_kept: impl Fn(usize) -> bool,
 ) -> Relabelled {
     let work = Relabelling { labels, neighbors };
-    let mut queue: VecDeque<u32> = (0..neighbors.len() as u32).filter(|e| work.is_bad(*e as usize)).collect();
+    let mut queue: VecDeque<u32> = work.bad().into();
     let mut queued = vec![false; neighbors.len()];
     queue.iter().for_each(|e| queued[*e as usize] = true);
     let mut changes = 0;
@@ -59,7 +64,7 @@ pub fn relabel_for_smoothing(
             }
         }
     }
-    let remaining = (0..neighbors.len()).filter(|e| work.is_bad(*e)).count();
+    let remaining = work.bad().len();
     Relabelled { changes, remaining }
 }
 
@@ -81,6 +86,15 @@ impl Relabelling<'_> {
     fn is_bad(&self, element: usize) -> bool {
         let label = self.labels[element];
         !label.is_background() && self.foreign_faces(element, label) >= 2
+    }
+
+    /// All bad elements, increasing.
+    fn bad(&self) -> Vec<u32> {
+        (0..self.neighbors.len() as u32)
+            .into_par_iter()
+            .with_min_len(CHUNK)
+            .filter(|e| self.is_bad(*e as usize))
+            .collect()
     }
 
     fn penalty(&self, element: usize, label: Label) -> i32 {

@@ -23,6 +23,7 @@
 //! tets they replace. The mesh conforms.
 
 use glam::{DVec3, IVec3};
+use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use crate::error::Result;
@@ -34,9 +35,16 @@ use crate::lattice::scaffold::Scaffold;
 use crate::mesh::mixed_mesh::ElementKind;
 use crate::mesh::numbering::HEX_FACES;
 use crate::mesh::quality::scaled_jacobian;
+use crate::parallel::ordered_concat::ordered_concat;
 
 /// Directions across the faces of a cube, in the order of `numbering::HEX_FACES`.
 const APEXES: [IVec3; 6] = [IVec3::NEG_X, IVec3::X, IVec3::NEG_Y, IVec3::Y, IVec3::NEG_Z, IVec3::Z];
+
+/// Elements per parallel work item.
+const CHUNK: usize = 1 << 14;
+
+/// Vertices that a chunk remembers while it lists its own: some times those of a layer of elements.
+const RECENT: usize = 4096;
 
 /// Tets around a vertex of the uniform lattice.
 const TETS_AROUND_VERTEX: u8 = 24;
@@ -150,27 +158,21 @@ pub fn compact(
     cubes: &[MergeableCube],
     with_scaffold: bool,
 ) -> CandidateMesh {
-    let labelled = elements.labels.iter().filter(|l| !l.is_background()).count();
+    let (order, mut renumbered) = vertices_by_first_use(elements, lattice.vertices.positions.len());
+    let labelled = |c: usize| {
+        let range = c * CHUNK..((c + 1) * CHUNK).min(elements.tets.len());
+        range.filter(|e| !elements.labels[*e].is_background())
+    };
+    let chunks = 0..elements.tets.len().div_ceil(CHUNK);
+    let rows = |c| labelled(c).map(|e| elements.tets[e].map(|v| VertexId(renumbered[v as usize]))).collect();
+    let labels = |c| labelled(c).map(|e| elements.labels[e]).collect();
+    let place = |v: &u32| lattice.frame.local(lattice.vertices.positions[*v as usize]);
     let mut mesh = CandidateMesh {
-        tets: Vec::with_capacity(labelled),
-        tet_labels: Vec::with_capacity(labelled),
+        points: order.par_iter().with_min_len(CHUNK).map(place).collect(),
+        tets: ordered_concat(chunks.clone().into_par_iter().map(rows).collect()),
+        tet_labels: ordered_concat(chunks.into_par_iter().map(labels).collect()),
         ..CandidateMesh::default()
     };
-    let mut renumbered = vec![u32::MAX; lattice.vertices.positions.len()];
-    for (tet, label) in elements.tets.iter().zip(&elements.labels) {
-        if label.is_background() {
-            continue;
-        }
-        mesh.tets.push(tet.map(|v| {
-            let slot = &mut renumbered[v as usize];
-            if *slot == u32::MAX {
-                *slot = mesh.points.len() as u32;
-                mesh.points.push(lattice.frame.local(lattice.vertices.positions[v as usize]));
-            }
-            VertexId(*slot)
-        }));
-        mesh.tet_labels.push(*label);
-    }
     let number = |v: VertexId| VertexId(renumbered[v.index()]);
     mesh.cubes = cubes
         .iter()
@@ -186,6 +188,39 @@ pub fn compact(
         mesh.scaffold = Scaffold::around(&elements.tets, &elements.labels, &mut renumbered, count, place);
     }
     mesh
+}
+
+/// The vertices of the labelled elements in the order of first use, and the place of each vertex in that order,
+/// `u32::MAX` where it has none.
+fn vertices_by_first_use(elements: &Elements, vertex_count: usize) -> (Vec<u32>, Vec<u32>) {
+    // Each chunk lists its vertices in the order of use, without most of the repetitions: what is left to do one after
+    // the other is little more than one look a vertex.
+    let listed = |(tets, labels): (&[[u32; 4]], &[Label])| {
+        let mut recent = [u32::MAX; RECENT];
+        let mut list = Vec::with_capacity(tets.len());
+        for (tet, _) in tets.iter().zip(labels).filter(|(_, label)| !label.is_background()) {
+            for v in tet {
+                let slot = &mut recent[*v as usize % RECENT];
+                if *slot != *v {
+                    *slot = *v;
+                    list.push(*v);
+                }
+            }
+        }
+        list
+    };
+    let lists: Vec<Vec<u32>> =
+        elements.tets.par_chunks(CHUNK).zip(elements.labels.par_chunks(CHUNK)).map(listed).collect();
+    let mut order = Vec::new();
+    let mut renumbered = vec![u32::MAX; vertex_count];
+    for v in lists.into_iter().flatten() {
+        let slot = &mut renumbered[v as usize];
+        if *slot == u32::MAX {
+            *slot = order.len() as u32;
+            order.push(v);
+        }
+    }
+    (order, renumbered)
 }
 
 /// Merges the cubes of a mesh whose tets are all still there, where no hexahedron and no pyramid gets a scaled Jacobian

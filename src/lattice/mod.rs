@@ -50,6 +50,7 @@ pub mod surface_deformation;
 mod topology_tests;
 pub mod untangling;
 pub mod vertex_optimization;
+pub mod vertex_table;
 pub mod voxel_cleanup;
 pub mod voxel_fidelity;
 

@@ -6,6 +6,7 @@
 pub mod claim_table;
 pub mod coloring;
 pub mod id_allocator;
+pub mod ordered_concat;
 pub mod ordered_reduce;
 pub mod pinning;
 pub mod shared_rows;

@@ -15,6 +15,8 @@ pub mod registration;
 pub mod surface_to_mesh;
 pub mod warp;
 
+use std::time::Instant;
+
 use glam::DVec3;
 
 use crate::context::RunContext;
@@ -95,7 +97,9 @@ impl Output {
         if let Some(mesh) = &self.mesh {
             self.statistics.set("mesh.points", mesh.points.len() as f64);
             self.statistics.set("mesh.elements", mesh.element_count() as f64);
+            let begin = Instant::now();
             self.statistics.extend(&mesh_quality(mesh, context).statistics());
+            self.statistics.set("time.quality", begin.elapsed().as_secs_f64());
         }
         self
     }
