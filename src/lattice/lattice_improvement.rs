@@ -9,6 +9,7 @@
 //!    transformations are tried on what is still low; in the last rounds surface vertices are optimised too.
 //!
 //! Last passes take what is still low once more, and let its surface vertices off their surface by a little more each time.
+//! Then edges much shorter than those around them are contracted ([`short_edges`](crate::lattice::short_edges)).
 //!
 //! # Source
 //! [KlingnerShewchuk2007] for the schedule.
@@ -35,6 +36,7 @@ use crate::lattice::element_score::{Ball, Part, Threshold, tet_score};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::local_transformations::{TransformationCounts, loosen_scaffold, transform};
 use crate::lattice::scaffold::STIFF_SCAFFOLD_ANGLE;
+use crate::lattice::short_edges::contract_short_edges;
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
@@ -160,6 +162,9 @@ pub fn improve(
         }
         let counts = may_transform.then_some(&mut summary.counts);
         raise_low_tets(&mut work, low, &effort, counts, context)?;
+    }
+    if options.transformations == Transformations::Local {
+        summary.counts.short_edges = contract_short_edges(&mut work, wanted);
     }
     for _ in 0..options.laplacian_iterations {
         context.check()?;

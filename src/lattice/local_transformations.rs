@@ -57,6 +57,8 @@ pub struct TransformationCounts {
     pub splits: usize,
     /// Surface edges turned.
     pub turned_edges: usize,
+    /// Short edges contracted.
+    pub short_edges: usize,
 }
 
 /// Tries the transformations of a tet in order of their cost; returns whether one was made.
@@ -243,7 +245,7 @@ fn contract_one_edge(mesh: &mut ImprovementMesh, t: u32) -> bool {
 }
 
 /// Merges `from` into `to` where all changed tets reach the threshold.
-fn contract_edge(mesh: &mut ImprovementMesh, from: u32, to: u32, needed: &Threshold) -> bool {
+pub fn contract_edge(mesh: &mut ImprovementMesh, from: u32, to: u32, needed: &Threshold) -> bool {
     let place = |v: u32| mesh.points[if v == from { to } else { v } as usize];
     // Quality fails far more often than topology, and at the first tets.
     let is_good = |t: &u32| {

@@ -40,6 +40,7 @@ pub mod red_green;
 pub mod red_green_tables;
 pub mod report;
 pub mod scaffold;
+pub mod short_edges;
 pub mod smooth_distance;
 pub mod smoothing;
 pub mod subdivision_criteria;

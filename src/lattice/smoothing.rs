@@ -95,6 +95,7 @@ pub fn smooth(
     report.set("improvement.contractions", result.counts.contractions as f64);
     report.set("improvement.splits", result.counts.splits as f64);
     report.set("improvement.turned_edges", result.counts.turned_edges as f64);
+    report.set("improvement.short_edges", result.counts.short_edges as f64);
     if sources.vertices.iter().zip(&points.sources).all(|(v, p)| mesh.points.get(v.index()) == Some(p)) {
         let text = "smoothing could not move any surface vertex";
         context.report(Finding::new(FindingCode::SmoothingStopped, Severity::Warning, text));

@@ -106,6 +106,19 @@ pub fn relax_inside(mesh: &mut ImprovementMesh, v: u32, bound: f64) -> bool {
     })
 }
 
+/// Plans the move of an inner vertex towards the middle of its ball, as far as its score stays at `wanted` or where it is,
+/// whichever is less. `None` where it stays. `ball` is a scratch buffer.
+pub fn plan_centering(mesh: &ImprovementMesh, v: u32, wanted: f64, ball: &mut Ball) -> Option<DVec3> {
+    if mesh.fixed[v as usize] || mesh.is_on_surface(v) {
+        return None;
+    }
+    mesh.gather(v, ball);
+    let place = mesh.points[v as usize];
+    let needed = Threshold::of(ball.score(place).min(wanted));
+    let center = ball.center()?;
+    steps(place, center, &[1.0, 0.7, 0.4, 0.2, 0.1]).find(|trial| ball.score_above(*trial, &needed).is_some())
+}
+
 /// Searches a better place for a vertex; `slack` (mm) is how far a surface vertex may stay off its surface. Returns the
 /// lowest score of its ball.
 pub fn optimize_vertex(mesh: &mut ImprovementMesh, v: u32, wanted: f64, slack: f64) -> f64 {
