@@ -2,7 +2,8 @@
 //!
 //! # Method
 //! 1. Each chunk of tets sorts its faces into buckets of their largest vertex.
-//! 2. Each bucket sorts its faces by vertices; equal neighbours are the two sides of a face.
+//! 2. Each bucket counts its faces into groups of one largest vertex, some twenty faces each, and sorts each group by the
+//!    other two vertices; equal neighbours are the two sides of a face.
 //!
 //! # Invariants
 //! A face has one or two tets; a third one is an internal error found here.
@@ -27,9 +28,9 @@ const BUCKETS: usize = 256;
 
 #[derive(Clone, Copy, Default)]
 struct Side {
-    /// Largest vertex in the high half, middle vertex in the low half.
-    key: u64,
-    smallest: u32,
+    /// Middle vertex in the high half, smallest in the low half.
+    others: u64,
+    largest: u32,
     /// `4 * tet + face`, modulo 2^32 only for the face number; tets are below 2^30.
     side: u32,
 }
@@ -45,7 +46,8 @@ pub fn neighbors_of(tets: &[[u32; 4]], vertex_count: usize) -> Result<Vec<[u32; 
     let width = vertex_count.div_ceil(BUCKETS).max(1);
     let chunks: Vec<(Vec<Side>, Vec<u32>)> =
         tets.par_chunks(CHUNK).enumerate().map(|(c, chunk)| bucketed(chunk, c * CHUNK, width)).collect();
-    let pairs: Vec<Vec<[u32; 2]>> = (0..BUCKETS).into_par_iter().map(|b| matched(&chunks, b)).collect::<Result<_>>()?;
+    let pairs: Vec<Vec<[u32; 2]>> =
+        (0..BUCKETS).into_par_iter().map(|b| matched(&chunks, b, width)).collect::<Result<_>>()?;
     drop(chunks);
     let mut neighbors = vec![[OUTSIDE; 4]; tets.len()];
     // Each side of a face is written once: the same result in any order.
@@ -75,27 +77,45 @@ fn bucketed(tets: &[[u32; 4]], first: usize, width: usize) -> (Vec<Side>, Vec<u3
             v.sort_unstable();
             let position = &mut next[v[2] as usize / width];
             let side = (((first + t) << 2) | f) as u32;
-            sides[*position as usize] = Side { key: u64::from(v[2]) << 32 | u64::from(v[1]), smallest: v[0], side };
+            sides[*position as usize] = Side { others: u64::from(v[1]) << 32 | u64::from(v[0]), largest: v[2], side };
             *position += 1;
         }
     }
     (sides, starts)
 }
 
-fn matched(chunks: &[(Vec<Side>, Vec<u32>)], bucket: usize) -> Result<Vec<[u32; 2]>> {
-    let slice = |(sides, starts): &'_ (Vec<Side>, Vec<u32>)| -> Vec<Side> {
-        sides[starts[bucket] as usize..starts[bucket + 1] as usize].to_vec()
+fn matched(chunks: &[(Vec<Side>, Vec<u32>)], bucket: usize, width: usize) -> Result<Vec<[u32; 2]>> {
+    let sides = || {
+        let slice = |starts: &[u32]| starts[bucket] as usize..starts[bucket + 1] as usize;
+        chunks.iter().flat_map(move |(sides, starts)| &sides[slice(starts)])
     };
-    let mut sides: Vec<Side> = chunks.iter().flat_map(slice).collect();
-    sides.sort_unstable_by_key(|s| (s.key, s.smallest, s.side));
-    let mut pairs = Vec::with_capacity(sides.len() / 2);
-    for face in sides.chunk_by(|a, b| (a.key, a.smallest) == (b.key, b.smallest)) {
-        match face {
-            [_] => {}
-            [a, b] => pairs.push([a.side, b.side]),
-            _ => {
-                let reason = format!("tet {} shares a face with more than one tet", face[0].side >> 2);
-                return Err(Error::Internal { reason });
+    let group = |side: &Side| side.largest as usize - bucket * width;
+    let mut ends = vec![0u32; width + 1];
+    sides().for_each(|side| ends[group(side) + 1] += 1);
+    for v in 0..width {
+        ends[v + 1] += ends[v];
+    }
+    let mut faces = vec![(0u64, 0u32); ends[width] as usize];
+    for side in sides() {
+        let position = &mut ends[group(side)];
+        faces[*position as usize] = (side.others, side.side);
+        *position += 1;
+    }
+    // Each entry has moved on to the end of its group.
+    let mut pairs = Vec::with_capacity(faces.len() / 2);
+    let mut begin = 0;
+    for end in &ends[..width] {
+        let group = &mut faces[begin..*end as usize];
+        begin = *end as usize;
+        group.sort_unstable();
+        for face in group.chunk_by(|a, b| a.0 == b.0) {
+            match face {
+                [_] => {}
+                [a, b] => pairs.push([a.1, b.1]),
+                _ => {
+                    let reason = format!("tet {} shares a face with more than one tet", face[0].1 >> 2);
+                    return Err(Error::Internal { reason });
+                }
             }
         }
     }

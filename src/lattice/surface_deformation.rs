@@ -102,7 +102,7 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
         matrix.add(vertex.index(), vertex.index(), DMat3::from_diagonal(DVec3::splat(HELD)));
     }
     let diagonals: Vec<DMat3> = input.sources.vertices.iter().map(|v| matrix.diagonal(v.index())).collect();
-    let body = Body { diagonals, held, near: tets_at_sources(mesh, input.sources) };
+    let body = Body { diagonals, held, near: tets_at_sources(mesh, input.sources), incidence: &model.incidence };
     let scaffold = std::mem::take(&mut mesh.scaffold);
     let rows: Vec<i64> = (0..=scaffold.tets.len() as i64).map(|t| 4 * t).collect();
     let vertices = mesh.points.len() + scaffold.points.len();
@@ -125,13 +125,15 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
 }
 
 /// What stays the same in all iterations.
-struct Body {
+struct Body<'a> {
     /// Diagonal block of the stiffness at each source point.
     diagonals: Vec<DMat3>,
     /// Vertices that must not move.
     held: Vec<bool>,
     /// Tets with a source point.
     near: Vec<u32>,
+    /// Tets of each vertex.
+    incidence: &'a Incidence,
 }
 
 fn tets_at_sources(mesh: &CandidateMesh, sources: &SourcePoints) -> Vec<u32> {
@@ -143,12 +145,12 @@ fn tets_at_sources(mesh: &CandidateMesh, sources: &SourcePoints) -> Vec<u32> {
 fn displacements_of(
     mesh: &CandidateMesh,
     input: &Deformation,
-    body: &Body,
+    body: &Body<'_>,
     matrix: &mut BlockCsr,
     summary: &mut DeformationSummary,
     context: &RunContext,
 ) -> Result<Vec<DVec3>> {
-    let edges = mean_edge_lengths(mesh);
+    let edges = mean_edge_lengths(mesh, input.sources, body.incidence);
     let wanted = source_displacements(mesh, input, &edges);
     let mut confidence: Vec<f64> = wanted.iter().map(|w| f64::from(u8::from(w.is_some()))).collect();
     let mut displacements = vec![DVec3::ZERO; mesh.points.len()];
@@ -182,21 +184,16 @@ fn materials(input: &Deformation) -> Result<MaterialMap> {
     Ok(MaterialMap::new(None, entries))
 }
 
-/// Mean length of the edges at each vertex, mm; an edge counts once per tet.
-pub fn mean_edge_lengths(mesh: &CandidateMesh) -> Vec<f64> {
-    let mut sums = vec![(0.0f64, 0u32); mesh.points.len()];
-    for tet in &mesh.tets {
-        for a in 0..4 {
-            for b in a + 1..4 {
-                let length = mesh.points[tet[a].index()].distance(mesh.points[tet[b].index()]);
-                for v in [tet[a], tet[b]] {
-                    sums[v.index()].0 += length;
-                    sums[v.index()].1 += 1;
-                }
-            }
-        }
-    }
-    sums.into_iter().map(|(sum, count)| if count > 0 { sum / f64::from(count) } else { 0.0 }).collect()
+/// Mean length of the edges at each source point, mm; an edge counts once per tet.
+fn mean_edge_lengths(mesh: &CandidateMesh, sources: &SourcePoints, incidence: &Incidence) -> Vec<f64> {
+    let of = |v: &VertexId| {
+        let tets = incidence.of(v.index());
+        let place = mesh.points[v.index()];
+        let others = tets.iter().flat_map(|t| mesh.tets[*t as usize]).filter(|w| w != v);
+        let sum: f64 = others.map(|w| mesh.points[w.index()].distance(place)).sum();
+        if tets.is_empty() { 0.0 } else { sum / (3 * tets.len()) as f64 }
+    };
+    sources.vertices.par_iter().with_min_len(256).map(of).collect()
 }
 
 /// Where each source point is pulled; `None` where nothing near fits.
@@ -207,8 +204,8 @@ fn source_displacements(mesh: &CandidateMesh, input: &Deformation, edges: &[f64]
         .map(|at| {
             let vertex = input.sources.vertices[at].index();
             let (point, sides) = (mesh.points[vertex], input.sources.sides(at));
-            let radius = input.options.search_radius_factor * edges[vertex];
-            let longest = input.options.edge_length_factor * edges[vertex];
+            let radius = input.options.search_radius_factor * edges[at];
+            let longest = input.options.edge_length_factor * edges[at];
             let place = input.surface.project(point, sides, radius);
             let place = place.or_else(|| input.targets.mean_within(input.image, point, radius, sides))?;
             Some((place - point).clamp_length_max(longest))
@@ -220,7 +217,7 @@ fn source_displacements(mesh: &CandidateMesh, input: &Deformation, edges: &[f64]
 fn scale_confidence(
     mesh: &CandidateMesh,
     input: &Deformation,
-    body: &Body,
+    body: &Body<'_>,
     displacements: &[DVec3],
     confidence: &mut [f64],
 ) -> bool {

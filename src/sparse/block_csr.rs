@@ -54,7 +54,7 @@ impl BlockCsr {
 
     /// The diagonal block of a row.
     pub fn diagonal(&self, row: usize) -> DMat3 {
-        self.pattern.position(row, row).map_or(DMat3::ZERO, |at| self.blocks[at])
+        self.blocks[self.pattern.diagonal(row)]
     }
 
     /// Adds to the block (row, column); ignored where the pattern has none.
@@ -64,11 +64,9 @@ impl BlockCsr {
         }
     }
 
-    /// Replaces the diagonal block of a row; ignored where the pattern has none.
+    /// Replaces the diagonal block of a row.
     pub fn set_diagonal(&mut self, row: usize, block: DMat3) {
-        if let Some(at) = self.pattern.position(row, row) {
-            self.blocks[at] = block;
-        }
+        self.blocks[self.pattern.diagonal(row)] = block;
     }
 
     /// Fills the matrix in parallel: `fill(rows, blocks)` writes the blocks of a range of rows, which begin at

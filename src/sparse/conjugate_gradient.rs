@@ -79,6 +79,9 @@ pub(crate) fn scale_and_add(target: &mut [DVec3], factor: f64, addend: &[DVec3])
 
 /// `right - matrix * solution`.
 pub(crate) fn residual_of(matrix: &BlockCsr, right: &[DVec3], solution: &[DVec3]) -> Vec<DVec3> {
+    if solution.iter().all(|s| *s == DVec3::ZERO) {
+        return right.to_vec();
+    }
     let mut residual = vec![DVec3::ZERO; right.len()];
     matrix.multiply(solution, &mut residual);
     scale_and_add(&mut residual, -1.0, right);

@@ -75,13 +75,15 @@ impl Incidence {
 pub struct Pattern {
     offsets: Vec<usize>,
     columns: Vec<u32>,
+    /// Place of the diagonal within each row.
+    diagonals: Vec<u32>,
 }
 
 impl Pattern {
     /// Two nodes are coupled when they share an element.
     pub fn from_elements(incidence: &Incidence, offsets: &[i64], connectivity: &[VertexId]) -> Self {
         let node_count = incidence.node_count();
-        let chunks: Vec<(Vec<usize>, Vec<u32>)> = (0..node_count.div_ceil(ROW_CHUNK))
+        let chunks: Vec<(Vec<[u32; 2]>, Vec<u32>)> = (0..node_count.div_ceil(ROW_CHUNK))
             .into_par_iter()
             .map(|chunk| {
                 let rows = chunk * ROW_CHUNK..((chunk + 1) * ROW_CHUNK).min(node_count);
@@ -95,20 +97,26 @@ impl Pattern {
                     }
                     row.sort_unstable();
                     row.dedup();
-                    lengths.push(row.len());
+                    let diagonal = row.partition_point(|column| (*column as usize) < node);
+                    lengths.push([row.len() as u32, diagonal as u32]);
                     columns.extend_from_slice(&row);
                 }
                 (lengths, columns)
             })
             .collect();
-        let mut pattern = Self { offsets: Vec::with_capacity(node_count + 1), columns: Vec::new() };
+        let mut pattern = Self {
+            offsets: Vec::with_capacity(node_count + 1),
+            columns: Vec::new(),
+            diagonals: Vec::with_capacity(node_count),
+        };
         pattern.offsets.push(0);
         pattern.columns.reserve_exact(chunks.iter().map(|(_, c)| c.len()).sum());
         let mut end = 0;
         for (lengths, columns) in chunks {
-            for length in lengths {
-                end += length;
+            for [length, diagonal] in lengths {
+                end += length as usize;
                 pattern.offsets.push(end);
+                pattern.diagonals.push(diagonal);
             }
             pattern.columns.extend_from_slice(&columns);
         }
@@ -134,6 +142,12 @@ impl Pattern {
     #[inline]
     pub fn row(&self, row: usize) -> &[u32] {
         &self.columns[self.offsets[row]..self.offsets[row + 1]]
+    }
+
+    /// Position of the diagonal block of a row; every row has one.
+    #[inline]
+    pub fn diagonal(&self, row: usize) -> usize {
+        self.offsets[row] + self.diagonals[row] as usize
     }
 
     /// Position of the block (row, column), where it is stored.
