@@ -109,6 +109,16 @@ impl Path {
     }
 }
 
+/// What the open segment a b passes through first after a; the way is at most one crossing long, and `None` where the
+/// walk loses its way.
+pub fn first_crossing(mesh: &ConstrainedMesh, [a, b]: [VertexId; 2]) -> Option<Path> {
+    let ball = mesh.ball(a);
+    if ball.iter().any(|&tet| mesh.complex.local_vertex(tet, b).is_some()) {
+        return Some(Path::Present);
+    }
+    ball.iter().find_map(|&tet| exit_of(mesh, tet, [a, b], &[a])).map(|crossing| Path::Through(vec![crossing]))
+}
+
 /// Follows the open segment a b from feature to feature; `None` where the walk loses its way.
 pub fn trace(mesh: &ConstrainedMesh, a: VertexId, b: VertexId) -> Option<Path> {
     let mut found = Vec::new();

@@ -1,21 +1,25 @@
 //! Makes missing edges of the surface edges of the mesh, without new points.
 //!
 //! # Method
-//! For a missing edge a b, with the tets it crosses:
-//! 1. Their union is filled anew so that it contains the edge: a filling that contains any face a b p does, so each
-//!    vertex p of the union is tried as a sheet (`cavity_filling`).
-//! 2. Crossed faces and edges are removed by 2-3 and n-m flips where fewer tets are crossed afterwards; then 1 again.
-//! 3. The union is enlarged by neighbours, one at a time and all at once, and filled.
+//! For a missing edge a b, in a pass of one effort:
+//! 1. What the segment passes through first, seen from a and then from b, is removed by 2-3 and n-m flips, as long as
+//!    that works. No flip puts a new face into the way, so that what shortens a ring is kept even where the removal
+//!    fails: the next pass starts from there.
+//! 2. With an effort that looks everywhere, any crossing is removed where fewer are left afterwards.
+//! 3. The union of the crossed tets is filled anew so that it contains the edge: a filling that contains any face a b p
+//!    does, so each vertex p of the union is tried as a sheet (`cavity_filling`). The union is enlarged by neighbours,
+//!    one at a time and all at once.
 //!
 //! Efforts grow from pass to pass; passes go on while they recover edges.
 //!
 //! # Source
-//! [GeorgeHechtSaltel1991], [GeorgeBorouchaki2003], [Drakopoulos2017] 4.6.1; filling the crossed tets: ours.
+//! [GeorgeHechtSaltel1991], [GeorgeBorouchaki2003], [Drakopoulos2017] 4.6.1; [Si2015] for starting at the ends and for
+//! keeping shorter rings; filling the crossed tets: ours.
 
 use super::Effort;
 use super::cavity_filling::fill_cavity;
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, edge_key};
-use super::crossings::{Crossing, Path, tets_along, trace};
+use super::crossings::{Crossing, Path, first_crossing, tets_along, trace};
 use super::edge_removal::{Journal, Plan, plan_flip_23, remove_edge};
 use crate::context::RunContext;
 use crate::error::Result;
@@ -58,26 +62,24 @@ pub fn recover_edges(
 /// Those of tet creation.
 pub fn recover_edge(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey, effort: &Effort) -> Result<bool> {
     let mut tries = effort.tries;
-    let Some(mut path) = trace(mesh, a, b) else { return Ok(false) };
-    if path == Path::Present {
+    let mut budget = effort.budget;
+    if clear_from_ends(mesh, [a, b], effort, &mut tries)? {
         return Ok(true);
     }
-    let mut budget = effort.budget;
-    if effort.depth == 0 {
-        // Most missing edges cross few tets, and a search finds what no sequence of flips does.
-        let Some(tets) = tets_along(mesh, a, b) else { return Ok(true) };
-        if tets.len() <= effort.tets && fill_with_edge(mesh, &tets, [a, b], effort.steps, &mut budget)? {
+    if effort.everywhere {
+        let Some(mut path) = trace(mesh, a, b) else { return Ok(false) };
+        while let Path::Through(crossings) = &path {
+            match shorten(mesh, [a, b], crossings.len(), effort, &mut tries)? {
+                Some(shorter) => path = shorter,
+                None => break,
+            }
+        }
+        if path == Path::Present {
             return Ok(true);
         }
     }
-    while let Path::Through(crossings) = &path {
-        match shorten(mesh, [a, b], crossings.len(), effort, &mut tries)? {
-            Some(shorter) => path = shorter,
-            None => break,
-        }
-    }
-    if path == Path::Present {
-        return Ok(true);
+    if effort.tets == 0 {
+        return Ok(false);
     }
     let Some(tets) = tets_along(mesh, a, b) else { return Ok(true) };
     if tets.is_empty() || tets.len() > effort.tets {
@@ -146,6 +148,44 @@ pub fn contains_edges(tets: &[[VertexId; 4]], edges: &[EdgeKey]) -> bool {
     edges.iter().all(|edge| tets.iter().any(|tet| edge.iter().all(|v| tet.contains(v))))
 }
 
+/// Removes the first thing that the segment passes through, again and again, from both ends; whether the edge is there.
+fn clear_from_ends(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey, effort: &Effort, tries: &mut usize) -> Result<bool> {
+    for ends in [[a, b], [b, a]] {
+        loop {
+            let crossing = match first_crossing(mesh, ends) {
+                Some(Path::Present) => return Ok(true),
+                Some(Path::Through(crossings)) => crossings[0],
+                None => break,
+            };
+            if !clear_crossing(mesh, crossing, ends, effort, tries)? {
+                break;
+            }
+        }
+    }
+    Ok(false)
+}
+
+/// Removes one crossing; no change puts anything new into the way.
+fn clear_crossing(
+    mesh: &mut ConstrainedMesh,
+    crossing: Crossing,
+    ends: [VertexId; 2],
+    effort: &Effort,
+    tries: &mut usize,
+) -> Result<bool> {
+    let mut journal = Journal::default();
+    for attempt in attempts_at(mesh, crossing, ends) {
+        let changed = match attempt {
+            Attempt::Flip(plan) => journal.commit(mesh, &plan)?,
+            Attempt::Remove(edge) => remove_edge(mesh, edge, effort.reach(Some(ends)), tries, &mut journal)?,
+        };
+        if changed {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
 /// Removes a crossed face or edge so that fewer than `count` things are crossed; `None` (and no change) where none can be.
 fn shorten(
     mesh: &mut ConstrainedMesh,
@@ -159,7 +199,7 @@ fn shorten(
         // Anew each time: an attempt that was taken back has other tet ids.
         let Some(Path::Through(crossings)) = trace(mesh, a, b) else { return Ok(None) };
         let Some(&crossing) = crossings.get(position) else { return Ok(None) };
-        for attempt in attempts_at(mesh, crossing) {
+        for attempt in attempts_at(mesh, crossing, [a, b]) {
             let changed = match attempt {
                 Attempt::Flip(plan) => journal.commit(mesh, &plan)?,
                 Attempt::Remove(edge) => remove_edge(mesh, edge, effort.reach(Some([a, b])), tries, &mut journal)?,
@@ -192,14 +232,14 @@ enum Attempt {
 }
 
 /// The 2-3 flip of a crossed face, or the removal of the edges that stand in its way; the removal of a crossed edge.
-fn attempts_at(mesh: &ConstrainedMesh, crossing: Crossing) -> Vec<Attempt> {
+fn attempts_at(mesh: &ConstrainedMesh, crossing: Crossing, aim: [VertexId; 2]) -> Vec<Attempt> {
     let side = match crossing {
         Crossing::Edge(_, [u, v]) => return vec![Attempt::Remove(edge_key(u, v))],
         Crossing::Vertex(_) => return Vec::new(),
         Crossing::Face(side) => side,
     };
     let mut attempts = Vec::new();
-    if let Some(plan) = plan_flip_23(mesh, side) {
+    if let Some(plan) = plan_flip_23(mesh, side, Some(aim)) {
         attempts.push(Attempt::Flip(plan));
     }
     let any = !attempts.is_empty();

@@ -6,12 +6,14 @@
 //!      / | \               polygon gives 2 (n - 2) tets: each triangle with u and with v. The best one, by the
 //!    p0--+--p2             worst tet, is found for all ring intervals from short to long. It exists only where
 //!      \ | /               all its tets are positive.
-//!        u                 Where there is none, the recursive form removes an edge from u or v to the ring, which
-//!                          shortens the ring, and tries again.
+//!        u                 Where there is none, the ring is shortened by 2-3 flips of its faces, and the recursive
+//!                          form removes an edge from u or v to the ring; then all is tried again.
 //! ```
+//! Within the recursion, the removal of the edge from u to p makes the outer ring shorter only where the two tets that
+//! both shells share become one: v has to be an ear of the inner ring. So the inner removal is planned with that ear.
 //! # Source
 //! [GeorgeBorouchaki2003] and [Shewchuk2002] for the removal over triangulations of the ring; [Drakopoulos2017] 4.5.3 for
-//! the recursive form.
+//! the recursive form, [Si2015] for shortening rings and for shells that share two tets at most.
 
 use super::constrained_mesh::ConstrainedMesh;
 use crate::error::Result;
@@ -67,7 +69,7 @@ pub fn plan_removal(mesh: &ConstrainedMesh, u: VertexId, v: VertexId, limit: usi
         return None;
     }
     let (old, ring) = ring_of(mesh, u, v, limit)?;
-    plan_ring([u, v], mesh, &old, &ring, None)
+    plan_ring([u, v], mesh, &old, &ring, (None, None))
 }
 
 /// Where a span of the ring is cut, and the worst shape that leaves.
@@ -77,29 +79,43 @@ struct Cut {
     middle: usize,
 }
 
-/// The triangulation of the ring with the best worst tet, all positive, without a new face that the segment `aim` meets.
+/// Whether the segment `aim` meets a face that has none of its ends.
+fn meets_aim(mesh: &ConstrainedMesh, aim: Option<[VertexId; 2]>, face: [VertexId; 3]) -> bool {
+    aim.is_some_and(|[a, b]| {
+        let free = !face.contains(&a) && !face.contains(&b);
+        free && segment_meets_triangle(mesh.at(a), mesh.at(b), face.map(|v| mesh.at(v)))
+    })
+}
+
+/// The triangulation of the ring with the best worst tet, all positive, without a new face that the segment `aim` meets;
+/// with the triangle at the vertex `ear` and its two neighbours.
 fn plan_ring(
     [u, v]: [VertexId; 2],
     mesh: &ConstrainedMesh,
     old: &[TetId],
     ring: &[VertexId],
-    aim: Option<[VertexId; 2]>,
+    (aim, ear): (Option<[VertexId; 2]>, Option<VertexId>),
 ) -> Option<Plan> {
     let n = ring.len();
     if n < 3 {
         return None;
     }
-    let met = |face: [VertexId; 3]| {
-        aim.is_some_and(|[a, b]| {
-            let free = !face.contains(&a) && !face.contains(&b);
-            free && segment_meets_triangle(mesh.at(a), mesh.at(b), face.map(|v| mesh.at(v)))
-        })
+    let met = |face: [VertexId; 3]| meets_aim(mesh, aim, face);
+    let from = usize::from(ear.is_some());
+    let rotated: Vec<VertexId>;
+    let ring = match ear.and_then(|ear| ring.iter().position(|&p| p == ear)) {
+        Some(at) => {
+            rotated = ring[at..].iter().chain(&ring[..at]).copied().collect();
+            &rotated
+        }
+        None if from == 1 => return None,
+        None => ring,
     };
     let none = Cut { shape: 0.0, middle: usize::MAX };
     // best[i * n + k]: the best triangulation of p_i ... p_k.
     let mut best = vec![Cut { shape: f64::INFINITY, middle: 0 }; n * n];
     for length in 2..n {
-        for i in 0..n - length {
+        for i in from..n - length {
             let k = i + length;
             let mut found = none;
             let inner = length < n - 1;
@@ -124,11 +140,19 @@ fn plan_ring(
             best[i * n + k] = found;
         }
     }
-    if best[n - 1].shape <= 0.0 {
+    if best[from * n + n - 1].shape <= 0.0 {
         return None;
     }
     let mut new = Vec::with_capacity(2 * n - 4);
-    let mut stack = vec![(0, n - 1)];
+    if from == 1 {
+        let (p, q, r) = (ring[0], ring[1], ring[n - 1]);
+        let tets = [[p, q, r, v], [p, r, q, u]];
+        if tets.iter().any(|&tet| mesh.orient(tet) <= 0.0) || met([p, q, r]) {
+            return None;
+        }
+        new.extend(tets);
+    }
+    let mut stack = vec![(from, n - 1)];
     while let Some((i, k)) = stack.pop() {
         if k - i < 2 {
             continue;
@@ -141,8 +165,8 @@ fn plan_ring(
     Some(Plan { old: old.to_vec(), new })
 }
 
-/// The 2-3 flip of a side, or `None` where the face is a constraint or the flip is not valid.
-pub fn plan_flip_23(mesh: &ConstrainedMesh, side: TetFace) -> Option<Plan> {
+/// The 2-3 flip of a side, or `None` where the face is a constraint, the flip is not valid or a new face meets the aim.
+pub fn plan_flip_23(mesh: &ConstrainedMesh, side: TetFace, aim: Option<[VertexId; 2]>) -> Option<Plan> {
     let other = mesh.complex.neighbor(side);
     if other == TetFace::NONE || mesh.is_subface(side) {
         return None;
@@ -155,6 +179,9 @@ pub fn plan_flip_23(mesh: &ConstrainedMesh, side: TetFace) -> Option<Plan> {
     let [x, y, z] = TET_FACES[side.face()].map(|i| v[i]);
     let new = vec![[p, q, x, y], [p, q, y, z], [p, q, z, x]];
     if v.iter().any(|v| v.is_ghost()) || new.iter().any(|&tet| mesh.orient(tet) <= 0.0) {
+        return None;
+    }
+    if [x, y, z].iter().any(|&w| meets_aim(mesh, aim, [p, q, w])) {
         return None;
     }
     Some(Plan { old: vec![side.tet(), other.tet()], new })
@@ -170,10 +197,15 @@ impl Journal {
     /// # Errors
     /// As [`TetStore::create_tet`].
     pub fn commit(&mut self, mesh: &mut ConstrainedMesh, plan: &Plan) -> Result<bool> {
+        Ok(self.commit_ids(mesh, plan)?.is_some())
+    }
+
+    /// The same; the new tets in the order of the plan.
+    fn commit_ids(&mut self, mesh: &mut ConstrainedMesh, plan: &Plan) -> Result<Option<Vec<TetId>>> {
         let old: Vec<[VertexId; 4]> = plan.old.iter().map(|&t| mesh.complex.vertices(t)).collect();
-        let Some(ids) = mesh.replace(&plan.old, &plan.new)? else { return Ok(false) };
-        self.0.push((old, ids));
-        Ok(true)
+        let Some(ids) = mesh.replace(&plan.old, &plan.new)? else { return Ok(None) };
+        self.0.push((old, ids.clone()));
+        Ok(Some(ids))
     }
 
     /// Changes noted so far.
@@ -209,8 +241,9 @@ pub struct Reach {
     pub aim: Option<[VertexId; 2]>,
 }
 
-/// Removes the edge u v, if need be after removing up to `depth` levels of edges at its ends, with backtracking. `tries`
-/// bounds the edges looked at. Where that fails, the mesh is as it was; with an aim, rings may be shorter.
+/// Removes the edge u v with backtracking: by the n-m flip, else its ring is shortened, by 2-3 flips and then by the
+/// removal of edges from its ends to the ring, up to `depth` levels of them. `tries` bounds the edges looked at. Where
+/// that fails, the mesh is as it was; with an aim, rings may be shorter.
 ///
 /// # Errors
 /// As [`TetStore::create_tet`].
@@ -221,7 +254,14 @@ pub fn remove_edge(
     tries: &mut usize,
     journal: &mut Journal,
 ) -> Result<bool> {
-    Removal { reach, tries, journal, open: Vec::new(), ball: Vec::new() }.remove(mesh, edge)
+    let mut removal = Removal { reach, tries, journal, open: Vec::new() };
+    if mesh.is_segment(edge[0], edge[1]) {
+        return Ok(false);
+    }
+    match find_edge(&mesh.complex, edge[0], edge[1], &mut Vec::new()) {
+        Some(start) => removal.remove_at(mesh, start),
+        None => Ok(true),
+    }
 }
 
 /// One recursive removal.
@@ -231,40 +271,124 @@ struct Removal<'a> {
     journal: &'a mut Journal,
     /// Edges whose removal is under way, outermost first.
     open: Vec<[VertexId; 2]>,
-    ball: Vec<TetId>,
 }
 
 impl Removal<'_> {
-    fn remove(&mut self, mesh: &mut ConstrainedMesh, [u, v]: [VertexId; 2]) -> Result<bool> {
-        if mesh.is_segment(u, v) {
-            return Ok(false);
-        }
-        match find_edge(&mesh.complex, u, v, &mut self.ball) {
-            Some(start) => self.remove_at(mesh, start),
-            None => Ok(true),
-        }
-    }
-
     fn remove_at(&mut self, mesh: &mut ConstrainedMesh, start: ShellTet) -> Result<bool> {
         let row = mesh.complex.vertices(start.tet);
-        let (u, v) = (row[start.a], row[start.b]);
-        let Some((old, ring)) = ring_from(mesh, start, self.reach.ring) else { return Ok(false) };
-        // The shells of nested removals share no tets but the two at the spoke: that ends the recursion early, where it
-        // would only turn in a circle.
-        let rows = old.iter().map(|&tet| mesh.complex.vertices(tet));
-        let taken = |row: &[VertexId; 4]| self.open.iter().any(|edge| edge.iter().all(|v| row.contains(v)));
-        if rows.filter(taken).count() > 2 {
-            return Ok(false);
+        let edge = [row[start.a], row[start.b]];
+        let mark = self.journal.mark();
+        let mut start = start;
+        let mut is_first = true;
+        // The outer ring gets shorter only where its tets at the spoke become one: the far end is an ear of this ring.
+        let ear = self.open.last().and_then(|outer| outer.iter().copied().find(|v| !edge.contains(v)));
+        loop {
+            let Some((old, ring)) = ring_from(mesh, start, self.reach.ring) else { break };
+            let taken: Vec<bool> = old.iter().map(|&tet| self.is_taken(mesh, tet)).collect();
+            // The shells of nested removals share no tets but the two at the spoke: that ends the recursion early,
+            // where it would only turn in a circle.
+            if is_first && taken.iter().filter(|&&t| t).count() > 2 {
+                return Ok(false);
+            }
+            is_first = false;
+            if let Some(plan) = plan_ring(edge, mesh, &old, &ring, (self.reach.aim, ear)) {
+                if self.journal.commit(mesh, &plan)? {
+                    return Ok(true);
+                }
+                break;
+            }
+            let shorter = self.cut_ears(mesh, edge, &old, &ring, &taken)?;
+            let (old, ring) = match shorter {
+                None => (old, ring),
+                Some(start) => match ring_from(mesh, start, self.reach.ring) {
+                    Some(shorter) => shorter,
+                    None => break,
+                },
+            };
+            if self.open.len() >= self.reach.depth || !self.remove_spoke(mesh, edge, &old, &ring)? {
+                break;
+            }
+            match find_edge(&mesh.complex, edge[0], edge[1], &mut Vec::new()) {
+                Some(found) => start = found,
+                None => return Ok(true),
+            }
         }
-        if let Some(plan) = plan_ring([u, v], mesh, &old, &ring, self.reach.aim) {
-            return self.journal.commit(mesh, &plan);
+        // A shorter ring is progress on the way to a segment, though the edge is still there: later passes start from
+        // it, and as no change puts anything new into the way they cannot turn back.
+        if self.reach.aim.is_none() {
+            self.journal.take_back(mesh, mark)?;
         }
-        if self.open.len() >= self.reach.depth {
-            return Ok(false);
+        Ok(false)
+    }
+
+    /// Whether the tet has an edge whose removal is under way.
+    fn is_taken(&self, mesh: &ConstrainedMesh, tet: TetId) -> bool {
+        let row = mesh.complex.vertices(tet);
+        self.open.iter().any(|edge| edge.iter().all(|v| row.contains(v)))
+    }
+
+    /// Shortens a ring by 2-3 flips, none of which touches a shell of the outer removals; a tet of the edge afterwards,
+    /// or `None` where nothing changed.
+    fn cut_ears(
+        &mut self,
+        mesh: &mut ConstrainedMesh,
+        [u, v]: [VertexId; 2],
+        old: &[TetId],
+        ring: &[VertexId],
+        taken: &[bool],
+    ) -> Result<Option<ShellTet>> {
+        // old[i] lies between ring[i] and ring[i + 1].
+        let mut ring: Vec<(VertexId, TetId, bool)> =
+            ring.iter().zip(old).zip(taken).map(|((&p, &tet), &taken)| (p, tet, taken)).collect();
+        let mut changed = None;
+        let mut unchanged = 0;
+        let mut i = 0;
+        while ring.len() > 3 && unchanged < ring.len() {
+            let n = ring.len();
+            i %= n;
+            let (before, after) = ((i + n - 1) % n, (i + 1) % n);
+            let (o, p, q) = (ring[before].0, ring[i].0, ring[after].0);
+            unchanged += 1;
+            let free = !ring[before].2 && !ring[i].2;
+            let new = [[o, p, q, v], [o, q, p, u], [o, q, u, v]];
+            if free && new.iter().all(|&tet| mesh.orient(tet) > 0.0) && self.keeps_clear(mesh, [o, q], [p, u, v]) {
+                let plan = Plan { old: vec![ring[before].1, ring[i].1], new: new.to_vec() };
+                if let Some(ids) = self.journal.commit_ids(mesh, &plan)? {
+                    ring[before].1 = ids[2];
+                    ring.remove(i);
+                    changed = Some(ids[2]);
+                    unchanged = 0;
+                    continue;
+                }
+            }
+            i += 1;
         }
+        let Some(tet) = changed else { return Ok(None) };
+        let place = |w| mesh.complex.local_vertex(tet, w);
+        Ok(place(u).zip(place(v)).map(|(a, b)| ShellTet::new(tet, a, b)))
+    }
+
+    /// Whether no face of the edge p q with a vertex of `thirds` meets the aim.
+    fn keeps_clear(&self, mesh: &ConstrainedMesh, [p, q]: [VertexId; 2], thirds: [VertexId; 3]) -> bool {
+        thirds.iter().all(|&third| !meets_aim(mesh, self.reach.aim, [p, q, third]))
+    }
+
+    /// Removes an edge from an end to the ring without which the ring would be shorter; false where none can be.
+    fn remove_spoke(
+        &mut self,
+        mesh: &mut ConstrainedMesh,
+        [u, v]: [VertexId; 2],
+        old: &[TetId],
+        ring: &[VertexId],
+    ) -> Result<bool> {
         let n = ring.len();
         for i in 0..n {
             let [before, p, after] = [ring[(i + n - 1) % n], ring[i], ring[(i + 1) % n]];
+            // An attempt that failed may have changed what lies around the ring, but not the shell.
+            let row = mesh.complex.vertices(old[i]);
+            if !mesh.complex.is_live(old[i]) || ![u, v, p, after].iter().all(|w| row.contains(w)) {
+                continue;
+            }
             // The ring could do without p but for an edge from p to an end that is in the way.
             let at_v = mesh.orient([before, p, after, v]) <= 0.0;
             let at_u = mesh.orient([before, after, p, u]) <= 0.0;
@@ -280,24 +404,14 @@ impl Removal<'_> {
                 continue;
             }
             *self.tries -= 1;
-            let mark = self.journal.mark();
             let place = |w| mesh.complex.local_vertex(old[i], w);
             let (Some(from), Some(to)) = (place(end), place(p)) else { continue };
             self.open.push([u, v]);
             let removed = self.remove_at(mesh, ShellTet::new(old[i], from, to));
             self.open.pop();
-            if !removed? {
-                continue;
-            }
-            if self.remove(mesh, [u, v])? {
+            if removed? {
                 return Ok(true);
             }
-            // A shorter ring is progress on the way to a segment, though the edge is still there: later passes start
-            // from it, and as no change puts anything new into the way they cannot turn back.
-            if self.reach.aim.is_some() {
-                return Ok(false);
-            }
-            self.journal.take_back(mesh, mark)?;
         }
         Ok(false)
     }
