@@ -6,7 +6,8 @@
 //!   configuration 2: the shell of the opposite edge                   new point: its centroid, moved to where the worst
 //!   configuration 3: both shells                                      new tet is best
 //! ```
-//! The same with the other two pairs of opposite edges, where asked for.
+//! The same with the other two pairs of opposite edges, where asked for. Where no shell helps the worst tets, the
+//! polyhedron grows tet by tet ([`plan_grown_insertion`]).
 //!
 //! The configuration whose worst new tet is best is taken, if that is better than the worst tet it replaces and not below
 //! a floor. Without the floor, tets whose bad angles the surface forces would draw point after point, each a little
@@ -20,6 +21,10 @@
 //!
 //! # Invariants
 //! Constrained faces bound the polyhedron; constrained faces, constrained edges and vertices inside it refuse it.
+
+mod grown_cavity;
+
+pub use grown_cavity::plan_grown_insertion;
 
 use glam::DVec3;
 
@@ -43,6 +48,10 @@ pub struct SliverScratch {
     cavity: Vec<TetId>,
     border: Vec<TetFace>,
     best: Vec<TetId>,
+    /// Tets that a growing polyhedron may not let in.
+    refused: Vec<TetId>,
+    /// Border faces of a growing polyhedron with the grades of their tets.
+    order: Vec<(f64, TetFace)>,
 }
 
 /// What an inserted point must keep to.
@@ -127,14 +136,7 @@ pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
     let Some((grade, old, place)) = best else { return (last, DVec3::ZERO) };
     scratch.cavity.clone_from(&scratch.best);
     collect_border(store, scratch);
-    let plan = &mut flips.plan;
-    plan.reset(store.label(tet));
-    plan.old.extend_from_slice(&scratch.cavity);
-    plan.new.extend(scratch.border.iter().map(|&side| {
-        let [a, b, c] = store.face_vertices(side);
-        [a, c, b, vertex]
-    }));
-    (plan.old_grade, plan.new_grade) = (old, grade);
+    scratch.write_plan(store, tet, vertex, (old, grade), flips);
     (Outcome::Accepted, place)
 }
 
@@ -175,18 +177,42 @@ fn gather<S: TetStore + ?Sized, M: TetMeasure>(
     if edges.len() > 1 && !scratch.keeps_all(store) {
         return Outcome::Constrained;
     }
-    scratch.star.faces.clear();
-    scratch.star.strict.clear();
-    for at in 0..scratch.border.len() {
-        let vertices = store.face_vertices(scratch.border[at]);
-        let [a, b, c] = vertices.map(|v| store.point(v));
-        scratch.star.faces.push([a, c, b]);
-        scratch.star.strict.push(measure.is_strict(&vertices));
-    }
+    scratch.fill_star(store, measure);
     Outcome::Accepted
 }
 
 impl SliverScratch {
+    /// The star of the border's faces.
+    fn fill_star<S: TetStore + ?Sized, M: TetMeasure>(&mut self, store: &S, measure: &M) {
+        self.star.faces.clear();
+        self.star.strict.clear();
+        for &side in &self.border {
+            let vertices = store.face_vertices(side);
+            let [a, b, c] = vertices.map(|v| store.point(v));
+            self.star.faces.push([a, c, b]);
+            self.star.strict.push(measure.is_strict(&vertices));
+        }
+    }
+
+    /// The replacement of the cavity by the star of `vertex` over its border.
+    fn write_plan<S: TetStore + ?Sized>(
+        &self,
+        store: &S,
+        tet: TetId,
+        vertex: VertexId,
+        (old_grade, new_grade): (f64, f64),
+        flips: &mut FlipScratch,
+    ) {
+        let plan = &mut flips.plan;
+        plan.reset(store.label(tet));
+        plan.old.extend_from_slice(&self.cavity);
+        plan.new.extend(self.border.iter().map(|&side| {
+            let [a, b, c] = store.face_vertices(side);
+            [a, c, b, vertex]
+        }));
+        (plan.old_grade, plan.new_grade) = (old_grade, new_grade);
+    }
+
     /// Whether no vertex, constrained face or constrained edge is inside the polyhedron. Within one shell there is nothing
     /// but the edge that it goes round.
     fn keeps_all<S: TetStore + ?Sized>(&self, store: &S) -> bool {
@@ -308,5 +334,45 @@ mod tests {
             }
         }
         assert!(accepted[1] > accepted[0] && accepted[0] > 0, "{accepted:?}");
+    }
+
+    #[test]
+    fn grown_polyhedra_better_what_they_replace_and_keep_held_edges() {
+        let mesh = random_mesh(300);
+        let smallest = |tet: TetId| dihedral_angles(mesh.points_of(tet)).into_iter().fold(f64::INFINITY, f64::min);
+        let bad: Vec<TetId> = mesh.finite_tets().filter(|&tet| smallest(tet) < 5.0).collect();
+        let mut accepted = [0, 0];
+        for (tet, is_held) in bad.iter().flat_map(|&tet| [(tet, false), (tet, true)]) {
+            let mut complex = mesh.clone();
+            let spare = complex.push_point(DVec3::ZERO).unwrap();
+            let angles = dihedral_angles(complex.points_of(tet));
+            let first = (0..6).max_by(|&i, &j| angles[i].total_cmp(&angles[j])).unwrap();
+            let held = TET_EDGES[first].map(|i| mesh.vertices(tet)[i]);
+            if is_held {
+                hold_edge(&mut complex, held);
+            }
+            let grade = BiasedSine.grade(mesh.points_of(tet));
+            let (mut scratch, mut flips) = (SliverScratch::default(), FlipScratch::default());
+            let limits = (1.3 * grade, 1.3);
+            let (outcome, place) =
+                plan_grown_insertion(&mut complex, (tet, spare), limits, &BiasedSine, &mut scratch, &mut flips);
+            if outcome != Outcome::Accepted {
+                continue;
+            }
+            accepted[usize::from(is_held)] += 1;
+            let worst = |of: &TetComplex, tets: &[TetId]| {
+                tets.iter().map(|&t| BiasedSine.grade(of.points_of(t))).fold(f64::INFINITY, f64::min)
+            };
+            let old = worst(&mesh, &flips.plan.old);
+            complex.set_point(spare, place);
+            commit(&mut complex, &mut flips).unwrap();
+            complex.check_invariants().unwrap();
+            complex.check_orientation().unwrap();
+            assert!(worst(&complex, &flips.created) > 1.3 * old.max(grade));
+            let holds = |t: TetId| held.iter().all(|v| complex.local_vertex(t, *v).is_some());
+            assert!(!is_held || complex.live_tets().any(holds), "the held edge stays");
+            assert!((0..300).all(|v| complex.tet_of(VertexId(v)) != TetId::NONE), "no vertex is lost");
+        }
+        assert!(accepted[0] > 3 && accepted[0] >= accepted[1], "{accepted:?} of {}", bad.len());
     }
 }

@@ -17,7 +17,7 @@
 
 use super::super::flip_criteria::{BiasedSine, StrictInside, TetMeasure};
 use super::super::flips::{Accept, Outcome, plan_edge_removal, plan_face_removal, plan_vertex_removal};
-use super::super::sliver_removal::{InsertionLimits, plan_sliver_insertion};
+use super::super::sliver_removal::{InsertionLimits, plan_grown_insertion, plan_sliver_insertion};
 use super::{Job, Kit};
 use crate::error::Result;
 use crate::index::{TetFace, TetId, VertexId};
@@ -31,8 +31,12 @@ use crate::parallel::speculative::Attempt;
 const FLAT_BELOW: f64 = 4.0;
 /// Factor by which a point must better the grade of a nearly flat tet.
 const FLAT_GAIN: f64 = 1.02;
-/// A tet with a smaller angle, degrees, gets a point where every new tet reaches that angle.
+/// A tet with a smaller angle, degrees, gets a point where every new tet reaches that angle; or one in a polyhedron grown
+/// around it, where that helps by the factor of [`GROWN_GAIN`].
 const BAD_BELOW: f64 = 10.0;
+/// Factor by which a point in a grown polyhedron must better the worst tet that goes: a tet of 4 degrees is at 10 after
+/// at most four of them, so that thin places do not fill with points for the sake of little.
+const GROWN_GAIN: f64 = 1.3;
 /// The angle that every new tet of all other insertions reaches, degrees.
 const FLOOR: f64 = 18.0;
 /// Distance that a point keeps from its neighbours there, beside the boundary, in shares of their average size: with edges
@@ -162,7 +166,14 @@ impl TreatJob<'_> {
         let limits = insertion_limits(grade, self.measure().is_strict(&row), size);
         let Kit { slivers, reconnector, .. } = kit;
         let scratch = &mut reconnector.scratch;
-        let (outcome, place) = plan_sliver_insertion(store, tet, vertex, limits, &self.measure(), slivers, scratch);
+        let (mut outcome, mut place) =
+            plan_sliver_insertion(store, tet, vertex, limits, &self.measure(), slivers, scratch);
+        let is_bad = grade < BAD_BELOW.to_radians().sin();
+        if is_bad && !matches!(outcome, Outcome::Accepted | Outcome::ClaimLost) {
+            store.release_claims();
+            let limits = (GROWN_GAIN * grade, GROWN_GAIN);
+            (outcome, place) = plan_grown_insertion(store, (tet, vertex), limits, &self.measure(), slivers, scratch);
+        }
         if outcome == Outcome::Accepted {
             store.set_point(vertex, place);
         }
