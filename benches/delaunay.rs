@@ -75,7 +75,7 @@ fn main() {
     let count: usize = value("--points", "1000000").parse().expect("--points takes a number");
     let write = value("--write", "");
     println!(
-        "engine,case,threads,points,tets,seconds,cpu_seconds,points_per_cpu_second,peak_mib,bytes_per_tet,exact,sort_s,insert_s,convert_s"
+        "engine,case,threads,points,tets,seconds,cpu_seconds,points_per_cpu_second,peak_mib,bytes_per_tet,exact,deferred,sort_s,insert_s,convert_s"
     );
     for case in value("--cases", "random,surfaces,grid,lattice").split(',') {
         let points = match case {
@@ -101,11 +101,12 @@ fn main() {
             let (cpu, n, tets) = (cpu_end - cpu, points.len(), result.complex.live_count());
             let report = &result.report;
             println!(
-                "meshwright,{case},{threads},{n},{tets},{seconds:.2},{cpu:.2},{:.0},{},{:.1},{},{:.2},{:.2},{:.2}",
+                "meshwright,{case},{threads},{n},{tets},{seconds:.2},{cpu:.2},{:.0},{},{:.1},{},{},{:.2},{:.2},{:.2}",
                 n as f64 / cpu,
                 peak >> 20,
                 (peak.saturating_sub(before) as f64 - 40.0 * n as f64) / tets as f64,
                 report.exact_tests,
+                report.deferred,
                 report.sort_seconds,
                 report.insertion_seconds,
                 report.conversion_seconds

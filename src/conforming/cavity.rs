@@ -44,8 +44,10 @@ const TABLE_SLOTS: usize = 2 * MATRIX_VERTICES;
 pub(super) enum Insertion {
     /// Done; a tet at the new vertex.
     Inserted(TetId),
-    /// The cavity reaches a tet that this thread may not change.
-    NotOwned,
+    /// Another thread has claimed a tet that is needed.
+    Claimed,
+    /// Another thread has changed the tet to start from: it is not one of the cavity any more.
+    Moved,
     /// Too few free slots.
     NoRoom,
 }
@@ -97,9 +99,9 @@ impl Cavity {
     /// Inserts `vertex` into the mesh; `start` is the tet that contains it, or a ghost tet that sees it.
     pub fn insert<M: KernelMesh>(&mut self, mesh: &mut M, vertex: VertexId, start: TetId) -> Insertion {
         let outcome = match self.collect(mesh, mesh.point(vertex), start) {
-            false => Insertion::NotOwned,
-            true if mesh.room() + self.tets.len() < self.boundary.len() => Insertion::NoRoom,
-            true => Insertion::Inserted(self.fill(mesh, vertex)),
+            Err(reason) => reason,
+            Ok(()) if !mesh.has_room(self.boundary.len().saturating_sub(self.tets.len())) => Insertion::NoRoom,
+            Ok(()) => Insertion::Inserted(self.fill(mesh, vertex)),
         };
         if !matches!(outcome, Insertion::Inserted(_)) {
             for &tet in &self.tets {
@@ -109,12 +111,12 @@ impl Cavity {
         outcome
     }
 
-    /// Step 1. False where a tet of the cavity is not ours.
-    fn collect<M: KernelMesh>(&mut self, mesh: &mut M, point: DVec3, start: TetId) -> bool {
+    /// Step 1, or why not.
+    fn collect<M: KernelMesh>(&mut self, mesh: &mut M, point: DVec3, start: TetId) -> Result<(), Insertion> {
         self.tets.clear();
         self.boundary.clear();
-        if !mesh.vertices(start).iter().all(|&v| mesh.owns(v)) {
-            return false;
+        if M::IS_SHARED {
+            self.check_start(mesh, point, start)?;
         }
         mesh.set_mark(start, true);
         self.tets.push(start);
@@ -133,6 +135,9 @@ impl Cavity {
             }
             for face in 0..4 {
                 let side = neighbors[face];
+                if !mesh.claim(side.tet()) {
+                    return Err(Insertion::Claimed);
+                }
                 if mesh.is_marked(side.tet()) {
                     continue;
                 }
@@ -142,23 +147,33 @@ impl Cavity {
                     let face = [&rows[corners[0]], &rows[corners[1]], &rows[corners[2]]];
                     self.has_apex_conflict(mesh, point, &other, side.face(), face)
                 } else {
-                    self.has_conflict(mesh, point, side.tet(), &other)
+                    self.has_conflict(mesh, point, side.tet(), &other)?
                 };
-                if !conflict {
+                if conflict {
+                    mesh.set_mark(side.tet(), true);
+                    self.tets.push(side.tet());
+                } else {
                     self.boundary.push(BoundaryFace {
                         outside: side,
                         vertices: [vertices[corners[0]], vertices[corners[1]], vertices[corners[2]]],
                     });
-                } else {
-                    if !other.iter().all(|&v| mesh.owns(v)) {
-                        return false;
-                    }
-                    mesh.set_mark(side.tet(), true);
-                    self.tets.push(side.tet());
                 }
             }
         }
-        true
+        Ok(())
+    }
+
+    /// Whether the tet that a walk ended in is one of the cavity still, now that nobody else can change it.
+    fn check_start<M: KernelMesh>(&mut self, mesh: &mut M, point: DVec3, start: TetId) -> Result<(), Insertion> {
+        if !mesh.claim(start) {
+            return Err(Insertion::Claimed);
+        }
+        let vertices = mesh.vertices(start);
+        let is_free = vertices.iter().filter(|v| v.is_ghost()).count() > 1;
+        if is_free || vertices.iter().any(|&v| !v.is_ghost() && mesh.point(v) == point) {
+            return Err(Insertion::Moved);
+        }
+        if self.has_conflict(mesh, point, start, &vertices)? { Ok(()) } else { Err(Insertion::Moved) }
     }
 
     /// Whether the sphere of a finite tet contains the point, given the rows of the face opposite to `apex`.
@@ -206,21 +221,34 @@ impl Cavity {
     }
 
     /// The general test, for ghost tets and across their faces.
-    fn has_conflict<M: KernelMesh>(&mut self, mesh: &M, point: DVec3, tet: TetId, vertices: &[VertexId; 4]) -> bool {
+    fn has_conflict<M: KernelMesh>(
+        &mut self,
+        mesh: &mut M,
+        point: DVec3,
+        tet: TetId,
+        vertices: &[VertexId; 4],
+    ) -> Result<bool, Insertion> {
         let Some(ghost) = vertices.iter().position(|v| v.is_ghost()) else {
             let points = vertices.map(|v| mesh.point(v));
             let [a, b, c, d] = points;
             let sign = insphere(a, b, c, d, point);
-            return if sign == 0.0 { is_cospherical_point_inside(points, point) } else { sign > 0.0 };
+            return Ok(if sign == 0.0 { is_cospherical_point_inside(points, point) } else { sign > 0.0 });
         };
         let [a, b, c] = TET_FACES[ghost].map(|i| mesh.point(vertices[i]));
         // The ghost lies on the positive side of its hull face turned over.
         let beyond = orient3d(a, c, b, point);
         if beyond != 0.0 {
-            return beyond > 0.0;
+            return Ok(beyond > 0.0);
         }
         let inner = mesh.neighbors(tet)[ghost].tet();
-        mesh.is_marked(inner) || self.has_conflict(mesh, point, inner, &mesh.vertices(inner))
+        if !mesh.claim(inner) {
+            return Err(Insertion::Claimed);
+        }
+        if mesh.is_marked(inner) {
+            return Ok(true);
+        }
+        let vertices = mesh.vertices(inner);
+        self.has_conflict(mesh, point, inner, &vertices)
     }
 
     /// Steps 2 and 3; returns the last tet made.

@@ -320,7 +320,7 @@ fn is_inside<S: TetStore + ?Sized>(store: &S, tet: TetId, point: DVec3) -> bool 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, tetrahedralize};
+    use crate::conforming::delaunay_kernel::{DelaunayOptions, tetrahedralize};
     use crate::context::RunContext;
     use crate::index::Label;
     use crate::mesh::tet_complex::TetComplex;
@@ -337,7 +337,7 @@ mod tests {
     }
 
     fn delaunay(points: &[DVec3]) -> TetComplex {
-        let options = DelaunayOptions { order: PointOrder::Spatial, seed: 0 };
+        let options = DelaunayOptions::default();
         let mut complex = tetrahedralize(points, &options, &RunContext::with_threads(1).unwrap()).unwrap().complex;
         let tets: Vec<TetId> = complex.finite_tets().collect();
         tets.into_iter().for_each(|tet| complex.set_label(tet, Label(1)));

@@ -15,7 +15,7 @@
 //! Ghost tets instead of a box of eight outer vertices: the result is the tetrahedralization of the convex hull exactly.
 //! # Invariants
 //! Vertex `i` of the complex is point `i`, bit for bit. The set of tets is unique (symbolic perturbation): it depends
-//! neither on the order of insertion nor on the thread count; only slot numbers do.
+//! neither on the order of insertion nor on the thread count; their numbers do, unless they are to be reproducible.
 //! # Cost
 //! O(n log n) expected for what surfaces and volumes look like. Peak about 48 B a tet and 40 B a point.
 //! # Limits
@@ -24,11 +24,12 @@
 use std::time::Instant;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::cavity::{Cavity, Insertion};
-use super::delaunay_parallel;
 use super::kernel_mesh::{ExclusiveMesh, KernelMesh, KernelRows, StoredPoint};
-use super::point_location::{Location, WalkRandom, locate};
+use super::point_location::{Location, locate};
+use super::{delaunay_numbering, delaunay_parallel};
 use crate::context::RunContext;
 use crate::error::{Error, Finding, FindingCode, Result, Severity};
 use crate::geometry::fixed_point::FixedPoint;
@@ -59,6 +60,16 @@ pub enum PointOrder {
     Spatial,
 }
 
+/// The numbers of the tets.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum TetNumbers {
+    /// As the insertion left them: with several threads, different from run to run.
+    #[default]
+    AsMade,
+    /// The same for any number of threads.
+    Reproducible,
+}
+
 /// What a caller can choose.
 #[derive(Debug, Clone, Default)]
 pub struct DelaunayOptions {
@@ -66,6 +77,8 @@ pub struct DelaunayOptions {
     pub order: PointOrder,
     /// Seed of the random order and of the rounds.
     pub seed: u64,
+    /// Numbers of the tets; the set of tets does not depend on it.
+    pub numbers: TetNumbers,
 }
 
 /// Counts and times of one run.
@@ -119,13 +132,10 @@ fn run(points: &[DVec3], options: &DelaunayOptions, context: &RunContext) -> Res
     report.insertion_seconds = clock.elapsed().as_secs_f64();
     report.exact_tests += kernel.cavity.exact_tests;
     let clock = Instant::now();
-    let Kernel { rows, mut duplicates, .. } = kernel;
-    for (duplicate, kept) in &mut duplicates {
-        // Which of two equal points came first depends on the order; the smaller index is kept, always.
-        let (a, b) = (stored[duplicate.index()].input, stored[kept.index()].input);
-        (*duplicate, *kept) = (VertexId(a), VertexId(b));
-    }
-    let (complex, duplicates) = hand_over(points, stored, rows, duplicates)?;
+    // Where no round is large enough for threads, there is only one way.
+    let renumber = options.numbers == TetNumbers::Reproducible && kernel.has_large_round(2);
+    let Kernel { rows, duplicates, .. } = kernel;
+    let (complex, duplicates) = hand_over(points, stored, rows, duplicates, renumber)?;
     report.conversion_seconds = clock.elapsed().as_secs_f64();
     Ok(Delaunay { complex, duplicates, report })
 }
@@ -184,7 +194,6 @@ pub(super) struct Kernel<'a> {
     pub extent: DVec3,
     pub fixed: Option<FixedPoint>,
     pub context: &'a RunContext,
-    random: WalkRandom,
     hint: TetId,
     first_simplex: [usize; 4],
 }
@@ -214,7 +223,6 @@ impl<'a> Kernel<'a> {
             extent: high - low,
             fixed,
             context,
-            random: WalkRandom(1),
             hint: TetId(0),
             first_simplex,
         })
@@ -235,6 +243,12 @@ impl<'a> Kernel<'a> {
         Ok(())
     }
 
+    /// Whether some round is inserted by so many threads where there are that many.
+    fn has_large_round(&self, threads: usize) -> bool {
+        let begins = std::iter::once(&0).chain(&self.round_ends);
+        begins.zip(&self.round_ends).any(|(b, e)| e - b >= delaunay_parallel::SMALLEST_ROUND * threads)
+    }
+
     /// Inserts positions `begin..end` of the order on this thread.
     pub fn insert_range(&mut self, begin: usize, end: usize) -> Result<()> {
         let mut mesh = ExclusiveMesh { points: self.points, rows: &mut self.rows };
@@ -249,16 +263,17 @@ impl<'a> Kernel<'a> {
             }
             let vertex = VertexId(self.order[i]);
             let point = mesh.point(vertex);
-            match locate(&mesh, point, self.hint, &mut self.random) {
+            match locate(&mesh, point, self.hint) {
                 Location::Vertex(kept) => self.duplicates.push((vertex, kept)),
                 Location::Tet(tet) => match self.cavity.insert(&mut mesh, vertex, tet) {
                     Insertion::Inserted(tet) => self.hint = tet,
-                    Insertion::NoRoom | Insertion::NotOwned => {
+                    Insertion::NoRoom => {
                         let limit = crate::mesh::tet_complex::MAX_TETS as u64;
                         return Err(Error::CapacityExceeded { what: "tets", needed: limit + 1, limit });
                     }
+                    Insertion::Claimed | Insertion::Moved => return Err(blocked()),
                 },
-                Location::Unreachable => return Err(Error::Internal { reason: "a walk was blocked".into() }),
+                Location::Lost => return Err(blocked()),
             }
         }
         Ok(())
@@ -269,6 +284,11 @@ impl<'a> Kernel<'a> {
         let slot = (0..self.rows.slots()).find(|&s| !self.rows.is_free(s));
         self.hint = TetId::from_index(slot.expect("a kernel that was started has tets"));
     }
+}
+
+/// One thread alone loses neither a tet nor its way.
+fn blocked() -> Error {
+    Error::Internal { reason: "an insertion without other threads was blocked".into() }
 }
 
 /// Takes the vertices of the first tet out of the order.
@@ -329,39 +349,42 @@ fn make_first_tets<M: KernelMesh>(mesh: &mut M, corners: [VertexId; 4]) {
     }
 }
 
-/// Step 4.
+/// Step 4. Of equal points the first one in the input is kept.
 fn hand_over(
     points: &[DVec3],
     stored: Vec<StoredPoint>,
     mut rows: KernelRows,
-    mut duplicates: Vec<(VertexId, VertexId)>,
+    duplicates: Vec<(VertexId, VertexId)>,
+    renumber: bool,
 ) -> Result<(TetComplex, Vec<(VertexId, VertexId)>)> {
-    let mut kept_instead = rustc_hash::FxHashMap::default();
-    for (duplicate, kept) in &duplicates {
-        let first = kept_instead.entry(*kept).or_insert(*kept);
-        *first = (*first).min(*duplicate);
+    rows.compact();
+    if renumber {
+        unify_equal_points(&mut rows, &duplicates);
+        delaunay_numbering::renumber(&mut rows.halves[1..], stored.len());
     }
-    for (duplicate, kept) in &mut duplicates {
-        let first = kept_instead[kept];
-        if *duplicate == first {
-            *duplicate = *kept;
-        }
-        *kept = first;
-    }
-    duplicates.sort_unstable();
     let mut to_input: Vec<VertexId> = stored.iter().map(|p| VertexId(p.input)).collect();
     drop(stored);
-    if !kept_instead.is_empty() {
-        for vertex in &mut to_input {
-            *vertex = *kept_instead.get(vertex).unwrap_or(vertex);
-        }
+    let mut first_of = rustc_hash::FxHashMap::default();
+    let input_of = |stored: &VertexId| to_input[stored.index()];
+    for (duplicate, kept) in &duplicates {
+        let first = first_of.entry(*kept).or_insert(input_of(kept));
+        *first = (*first).min(input_of(duplicate));
     }
-    rows.compact();
+    let groups =
+        duplicates.iter().flat_map(|(duplicate, kept)| [(*duplicate, first_of[kept]), (*kept, first_of[kept])]);
+    let mut duplicates: Vec<_> = groups.map(|(stored, first)| (stored, input_of(&stored), first)).collect();
+    for (stored, _, first) in &duplicates {
+        to_input[stored.index()] = *first;
+    }
+    duplicates.retain(|(_, input, first)| input != first);
+    let mut duplicates: Vec<_> = duplicates.into_iter().map(|(_, input, first)| (input, first)).collect();
+    duplicates.sort_unstable();
+    duplicates.dedup();
     let count = rows.slots();
     let mut halves = rows.halves;
     drop(rows.marks);
     let input = |v: u32| if v == u32::MAX { VertexId::GHOST } else { to_input[v as usize] };
-    let tet_vertices: Vec<[VertexId; 4]> = (0..count).map(|t| halves[2 * t + 1].map(input)).collect();
+    let tet_vertices: Vec<[VertexId; 4]> = (0..count).into_par_iter().map(|t| halves[2 * t + 1].map(input)).collect();
     // The neighbours move together in place; shrinking a large allocation gives its pages back without a copy.
     for t in 0..count {
         halves[t] = halves[2 * t + 2];
@@ -372,6 +395,21 @@ fn hand_over(
     drop(to_input);
     let complex = TetComplex::from_rows(points.to_vec(), tet_vertices, tet_neighbors)?;
     Ok((complex, duplicates))
+}
+
+/// Which of equal points is a vertex depends on the order: from here on it is the first in storage.
+fn unify_equal_points(rows: &mut KernelRows, duplicates: &[(VertexId, VertexId)]) {
+    let mut first_of = rustc_hash::FxHashMap::default();
+    for (duplicate, kept) in duplicates {
+        let first = first_of.entry(kept.0).or_insert(kept.0);
+        *first = (*first).min(duplicate.0);
+    }
+    if first_of.is_empty() {
+        return;
+    }
+    for vertices in rows.halves[1..].chunks_exact_mut(2).flat_map(|row| &mut row[0]) {
+        *vertices = *first_of.get(vertices).unwrap_or(vertices);
+    }
 }
 
 #[cfg(test)]

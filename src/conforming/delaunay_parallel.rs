@@ -1,29 +1,37 @@
 //! One round of Delaunay insertions on several threads.
 //!
 //! # Method
-//! Vertex ids are places on the Hilbert curve, so that an interval of ids is a compact part of space.
-//! 1. The ids are cut into one interval per thread (a circle: the last interval may continue at the first id), with
-//!    equally many points to insert in each.
-//! 2. Each thread inserts the points of its interval. It may remove a tet only if it owns all the vertices of that tet, ghost
-//!    excepted; a point whose cavity or walk needs another's vertex is deferred.
-//! 3. The deferred points are tried again with the cuts moved by half an interval: what lay at a cut now lies inside
-//!    a part. After that, or when few are left, one thread finishes alone.
+//! 1. The points of a round, in the order of the curve, are cut into buckets; each thread works through neighbouring ones
+//!    and hands some over when others have none left ([`crate::parallel::work_queue`]).
+//! 2. A thread walks to its point without any claim, then claims each tet that it looks at: those of the cavity and those
+//!    around it. Where another thread has one, nothing was changed; the point is deferred.
+//! 3. The deferred points are tried again, the last few by one thread alone.
+//!
+//! Tets are claimed in blocks of neighbouring slots, and a block is kept for some insertions: the next point is near, so
+//! that nearly all claims are one comparison.
 //! # Source
-//! Partition by intervals of a space-filling curve that moves between passes [MarotPellerinRemacle2019] section 3.
+//! Buckets as in [Drakopoulos2017] section 4.8; rows side by side along the curve as in [MarotPellerinRemacle2019].
 //! # Differences
-//! Ownership of a vertex is a comparison of its id; no claim word exists, and a round needs no atomic exchange.
+//! [MarotPellerinRemacle2019] gives each thread an interval of the curve. Points on surfaces make tets across any two
+//! intervals: a third of the points had to wait for the end, where claims that move with the thread lose a few in a
+//! thousand.
 //!
 //! # Protocol
-//! (The words are atomic, `parallel::shared_rows`; threads join between passes.)
-//! - A tet one of whose vertices is mine can be removed by nobody else: to remove it takes all of its vertices. So every tet
-//!   that shares a face with a tet of my own is alive while I look at it, its vertices do not change, and the entry of its
-//!   neighbours at the common face is written by nobody else.
-//! - A walk reads rows that others may be writing. It trusts only rows with a vertex of mine: another thread writes
-//!   into a row of its own, one that never had and never gets a vertex of mine in that pass. Any other row ends it.
-//! - Slots are dealt to the threads before the pass and reused by the thread that freed them; who runs out defers.
+//! (The words are atomic, `parallel::shared_rows`; claims are those of `parallel::claim_table`; threads join at the end.)
+//! - The row and the mark of a slot are written only by the thread that has its block. So a row that is read under a
+//!   claim is whole, as its last writer left it before the release that this claim has acquired.
+//! - A cavity is replaced only when all of its tets, all tets around it and all slots for new tets are claimed by one
+//!   thread: the entries of neighbours on both sides of its boundary are then written by nobody else.
+//! - A walk reads rows without claims, half old and half new at worst. All that it takes from them are numbers of slots and
+//!   of points, which exist for as long as the pass lasts; the tet that it ends in is claimed and tested anew.
+//! - A claim never waits. Who loses one gives back all blocks: of two threads that need each other's blocks, none can stop
+//!   the other twice.
+//! - Free slots are dealt in blocks (`parallel::id_allocator`) and reused by the thread that freed them; where none are
+//!   left the point is deferred.
 //!
 //! # Invariants
-//! The set of tets after a round is that of one thread: the Delaunay tetrahedralization of the points is unique.
+//! The set of tets after a round is that of one thread: the Delaunay tetrahedralization of the points is unique. The
+//! numbers of slots are not: see `delaunay_numbering`.
 
 use std::ops::Range;
 
@@ -32,40 +40,64 @@ use rayon::prelude::*;
 use super::cavity::{Cavity, Insertion};
 use super::delaunay_kernel::{DelaunayReport, Kernel};
 use super::kernel_mesh::{KernelMesh, StoredPoint};
-use super::point_location::{Location, WalkRandom, locate};
+use super::point_location::{Location, locate};
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::{TetFace, TetId, VertexId};
+use crate::parallel::claim_table::{Claim, ClaimTable};
+use crate::parallel::id_allocator::{IdAllocator, IdPool};
 use crate::parallel::shared_rows::{SharedBytes, SharedWords};
+use crate::parallel::work_queue::{WorkMember, WorkQueue, WorkSettings};
 
-/// Points per thread below which a round is not worth a partition: the parts would be all boundary.
-pub(super) const SMALLEST_ROUND: usize = 4000;
+/// Points per thread below which a round is left to one thread: the mesh would be too small to keep out of each other's
+/// way in. Less for tests, which want them to be.
+pub(super) const SMALLEST_ROUND: usize = if cfg!(test) { 250 } else { 16_000 };
 
 /// Passes over the deferred points before one thread finishes.
 const PASSES: usize = 3;
 
-/// Slots dealt beyond what the points inserted so far needed, per point and per thread.
-const SLOT_MARGIN: f64 = 1.08;
+/// Slots made beyond what the points inserted so far needed, per point (points on surfaces get more neighbours the
+/// more there are) and per thread.
+const SLOT_MARGIN: f64 = 1.25;
 const EXTRA_SLOTS: usize = 4096;
+
+/// Slots dealt at a time: with few, the claims of two threads share cache lines (a sixth more CPU time with 256).
+const DEALT_SLOTS: usize = 8192;
 
 /// Ids per place to start a walk from.
 const HINT_SPAN: usize = 256;
 
-/// Insertions between two looks at the cancellation flag.
-const CHECK_INTERVAL: usize = 1024;
+/// Slots of a block are those with the same number but for so many last bits.
+const BLOCK_BITS: usize = 4;
+
+/// Insertions after which the blocks are given back: those of the way behind would only be in the way.
+const KEPT_INSERTIONS: usize = 32;
+
+/// Points of a bucket; between two buckets a thread looks at the cancellation flag.
+const BUCKET: usize = 1024;
+
+/// Attempts at a point whose tet has changed between walk and claim.
+const ATTEMPTS: usize = 4;
 
 /// The shared mesh as one thread sees it.
 struct SharedMesh<'a> {
     points: &'a [StoredPoint],
     halves: SharedWords<'a>,
     marks: SharedBytes<'a>,
-    /// Owned ids: `first`, and `count` in all, going round at `points.len()`.
-    first: u32,
-    count: u32,
-    free: Vec<TetId>,
+    claims: &'a ClaimTable,
+    holder: u32,
+    /// Blocks that this thread has claimed.
+    held: Vec<u32>,
+    free: IdAllocator<'a>,
+    /// Free slots in blocks that this thread has claimed.
+    ready: Vec<TetId>,
+    /// Free slots in blocks that another thread had when they were wanted.
+    set_aside: Vec<TetId>,
 }
 
 impl KernelMesh for SharedMesh<'_> {
+    const IS_SHARED: bool = true;
+
     #[inline]
     fn point(&self, vertex: VertexId) -> glam::DVec3 {
         self.points[vertex.index()].point
@@ -103,38 +135,48 @@ impl KernelMesh for SharedMesh<'_> {
     }
 
     #[inline]
-    fn owns(&self, vertex: VertexId) -> bool {
-        vertex.is_ghost() || self.owns_finite(vertex)
+    fn claim(&mut self, tet: TetId) -> bool {
+        let block = tet.index() >> BLOCK_BITS;
+        match self.claims.try_claim(block, self.holder) {
+            Claim::Held => true,
+            Claim::Taken => {
+                self.held.push(block as u32);
+                true
+            }
+            Claim::Lost => false,
+        }
     }
 
-    #[inline]
-    fn is_stable(&self, vertices: &[VertexId; 4]) -> bool {
-        vertices.iter().any(|&v| !v.is_ghost() && self.owns_finite(v))
-    }
-
-    #[inline]
-    fn room(&self) -> usize {
-        self.free.len()
+    fn has_room(&mut self, slots: usize) -> bool {
+        while self.ready.len() < slots {
+            let Some(id) = self.free.take() else { return false };
+            let slot = TetId(id);
+            if self.claim(slot) { self.ready.push(slot) } else { self.set_aside.push(slot) }
+        }
+        true
     }
 
     #[inline]
     fn take_slot(&mut self) -> TetId {
-        self.free.pop().expect("the cavity checked that there is room")
+        self.ready.pop().expect("the cavity checked that there is room")
     }
 
     #[inline]
     fn free_slot(&mut self, tet: TetId) {
         self.set_row(tet, [VertexId::GHOST; 4], [TetFace::NONE; 4]);
-        self.free.push(tet);
+        self.free.recycle(tet.0);
     }
 }
 
 impl SharedMesh<'_> {
-    #[inline]
-    fn owns_finite(&self, vertex: VertexId) -> bool {
-        let offset = vertex.0.wrapping_sub(self.first);
-        let offset = if vertex.0 < self.first { offset.wrapping_add(self.points.len() as u32) } else { offset };
-        offset < self.count
+    fn release_all(&mut self) {
+        for block in self.held.drain(..) {
+            self.claims.release(block as usize, self.holder);
+        }
+        // Their blocks may be another thread's next time; what was set aside may be free by then.
+        for slot in self.ready.drain(..).chain(self.set_aside.drain(..)) {
+            self.free.recycle(slot.0);
+        }
     }
 }
 
@@ -143,7 +185,6 @@ impl SharedMesh<'_> {
 struct Part {
     deferred: Vec<u32>,
     duplicates: Vec<(VertexId, VertexId)>,
-    free: Vec<TetId>,
     exact_tests: u64,
 }
 
@@ -156,17 +197,16 @@ pub(super) fn insert_round(
 ) -> Result<()> {
     report.threads = threads;
     let mut waiting = kernel.order[range.clone()].to_vec();
-    waiting.sort_unstable();
-    for pass in 0..PASSES {
+    let hints = hints(kernel);
+    for _ in 0..PASSES {
         if waiting.len() < SMALLEST_ROUND * threads / 4 {
             break;
         }
         let live = kernel.rows.slots() - kernel.rows.free.len();
         let per_point = (SLOT_MARGIN * live as f64 / (range.end - waiting.len()).max(1) as f64).clamp(7.0, 32.0);
         let room = (waiting.len() as f64 * per_point) as usize + EXTRA_SLOTS * threads;
-        let deferred = insert_pass(kernel, &waiting, threads, (pass, room), report)?;
-        report.deferred += deferred.len() as u64;
-        waiting = deferred;
+        waiting = insert_pass(kernel, waiting, &hints, (threads, room), report)?;
+        report.deferred += waiting.len() as u64;
         waiting.sort_unstable();
     }
     // The rest, alone; the order's slots of this round are free for it.
@@ -179,47 +219,47 @@ pub(super) fn insert_round(
 /// Steps 1 and 2 for the sorted vertices `waiting`, with room for so many new tets; returns those that were deferred.
 fn insert_pass(
     kernel: &mut Kernel<'_>,
-    waiting: &[u32],
-    threads: usize,
-    (pass, room): (usize, usize),
+    waiting: Vec<u32>,
+    hints: &[TetId],
+    (threads, room): (usize, usize),
     report: &mut DelaunayReport,
 ) -> Result<Vec<u32>> {
-    // Cuts between equally many waiting points, moved by a part of an interval in later passes.
-    let shift = waiting.len() * pass / (PASSES.max(2) * threads);
-    let cut_at = |k: usize| (waiting.len() * k / threads + shift) % waiting.len();
-    let hints = hints(kernel);
     let missing = room.saturating_sub(kernel.rows.free.len());
     let first_new = kernel.rows.extend(missing)?;
-    let mut free = std::mem::take(&mut kernel.rows.free);
-    free.extend((first_new..kernel.rows.slots()).map(TetId::from_index));
-    let share = free.len() / threads;
+    // Low slots are taken first: high ones that stay free are cut off at the end.
+    let mut free: Vec<u32> = (first_new..kernel.rows.slots()).rev().map(|slot| slot as u32).collect();
+    free.extend(kernel.rows.free.drain(..).map(|slot| slot.0));
+    let pool = IdPool::with_block(free, DEALT_SLOTS);
+    let claims = ClaimTable::new((kernel.rows.slots() >> BLOCK_BITS) + 1);
+    let settings = WorkSettings { buckets: waiting.len().div_ceil(BUCKET), ..WorkSettings::for_threads(threads) };
+    let queue = WorkQueue::new(waiting, threads, settings);
     let halves = SharedWords::new(kernel.rows.halves.as_flattened_mut());
     let marks = SharedBytes::new(&mut kernel.rows.marks);
-    let total = kernel.points.len() as u32;
     let mut jobs = Vec::new();
-    for k in 0..threads {
-        let (begin, end) = (cut_at(k), cut_at((k + 1) % threads));
-        let mine: Vec<u32> =
-            if begin < end { waiting[begin..end].to_vec() } else { [&waiting[begin..], &waiting[..end]].concat() };
-        let first = waiting[begin];
-        let count = if first < waiting[end] { waiting[end] - first } else { total - first + waiting[end] };
-        let mut slots = if k + 1 == threads { std::mem::take(&mut free) } else { free.split_off(free.len() - share) };
-        slots.reverse();
-        let mesh = SharedMesh { points: kernel.points, halves, marks, first, count, free: slots };
-        jobs.push((mesh, mine, Cavity::new(kernel.extent, kernel.fixed)));
+    for holder in 0..threads as u32 {
+        let (points, claims, free) = (kernel.points, &claims, pool.allocator());
+        let (held, ready, set_aside) = (Vec::new(), Vec::new(), Vec::new());
+        jobs.push(SharedMesh { points, halves, marks, claims, holder, held, free, ready, set_aside });
     }
-    let context = kernel.context;
-    let parts: Vec<Result<Part>> =
-        jobs.into_par_iter().map(|(mesh, mine, cavity)| insert_part(mesh, &mine, cavity, &hints, context)).collect();
+    let (context, extent, fixed) = (kernel.context, kernel.extent, kernel.fixed);
+    let work = |mesh: SharedMesh<'_>| {
+        let member = queue.join(mesh.holder as usize);
+        let part = insert_part(mesh, member, Cavity::new(extent, fixed), hints, context);
+        if part.is_err() {
+            queue.stop();
+        }
+        part
+    };
+    let parts: Vec<Result<Part>> = jobs.into_par_iter().map(work).collect();
     let mut deferred = Vec::new();
     for part in parts {
         let mut part = part?;
         deferred.append(&mut part.deferred);
         kernel.duplicates.append(&mut part.duplicates);
-        kernel.rows.free.append(&mut part.free);
         report.exact_tests += part.exact_tests;
     }
-    // Low slots are taken first: high ones that stay free are cut off at the end.
+    debug_assert!(claims.is_all_free());
+    kernel.rows.free = pool.into_free().into_iter().map(TetId).collect();
     kernel.rows.free.sort_unstable_by(|a, b| b.cmp(a));
     Ok(deferred)
 }
@@ -227,60 +267,92 @@ fn insert_pass(
 /// Step 2 on one thread.
 fn insert_part(
     mut mesh: SharedMesh<'_>,
-    mine: &[u32],
+    mut member: WorkMember<'_, u32>,
     mut cavity: Cavity,
     hints: &[TetId],
     context: &RunContext,
 ) -> Result<Part> {
     let mut part = Part::default();
-    let mut random = WalkRandom(mesh.first);
-    let mut hint = TetId::NONE;
-    for (number, &id) in mine.iter().enumerate() {
-        if number % CHECK_INTERVAL == 0 {
-            context.check()?;
-        }
-        let vertex = VertexId(id);
-        let point = mesh.point(vertex);
-        let mut location = Location::Unreachable;
-        for start in [hint, hints[id as usize / HINT_SPAN]] {
-            if start != TetId::NONE {
-                location = locate(&mesh, point, start, &mut random);
-            }
-            if location != Location::Unreachable {
-                break;
-            }
-        }
-        match location {
-            Location::Vertex(kept) => part.duplicates.push((vertex, kept)),
-            Location::Unreachable => part.deferred.push(id),
-            Location::Tet(tet) => match cavity.insert(&mut mesh, vertex, tet) {
-                Insertion::Inserted(tet) => hint = tet,
-                Insertion::NotOwned | Insertion::NoRoom => part.deferred.push(id),
-            },
-        }
+    while let Some(bucket) = member.next_bucket() {
+        context.check()?;
+        // Once more at the end of the bucket: by then others have gone on.
+        let deferred = insert_bucket(&mut mesh, &mut cavity, &bucket, hints, &mut part);
+        let again = insert_bucket(&mut mesh, &mut cavity, &deferred, hints, &mut part);
+        part.deferred.extend(again);
     }
-    part.free = mesh.free;
     part.exact_tests = cavity.exact_tests;
     Ok(part)
+}
+
+/// Inserts the points of one bucket; returns those that have to wait.
+fn insert_bucket(
+    mesh: &mut SharedMesh<'_>,
+    cavity: &mut Cavity,
+    bucket: &[u32],
+    hints: &[TetId],
+    part: &mut Part,
+) -> Vec<u32> {
+    let mut deferred = Vec::new();
+    let mut hint = TetId::NONE;
+    for (number, &id) in bucket.iter().enumerate() {
+        let starts = [hint, hints[id as usize / HINT_SPAN]];
+        match insert_one(mesh, cavity, VertexId(id), starts) {
+            Attempt::Inserted(tet) => hint = tet,
+            Attempt::Duplicate(kept) => part.duplicates.push((VertexId(id), kept)),
+            Attempt::Deferred => deferred.push(id),
+        }
+        if number % KEPT_INSERTIONS == 0 {
+            mesh.release_all();
+        }
+    }
+    mesh.release_all();
+    deferred
+}
+
+/// What became of a point.
+enum Attempt {
+    Inserted(TetId),
+    Duplicate(VertexId),
+    Deferred,
+}
+
+fn insert_one(mesh: &mut SharedMesh<'_>, cavity: &mut Cavity, vertex: VertexId, starts: [TetId; 2]) -> Attempt {
+    let point = mesh.point(vertex);
+    for attempt in 0..ATTEMPTS {
+        let start = if starts[0] == TetId::NONE { starts[1] } else { starts[attempt % 2] };
+        let tet = match locate(mesh, point, start) {
+            Location::Vertex(kept) => return Attempt::Duplicate(kept),
+            Location::Lost => continue,
+            Location::Tet(tet) => tet,
+        };
+        match cavity.insert(mesh, vertex, tet) {
+            Insertion::Inserted(tet) => return Attempt::Inserted(tet),
+            Insertion::Moved => {}
+            Insertion::Claimed | Insertion::NoRoom => break,
+        }
+    }
+    mesh.release_all();
+    Attempt::Deferred
 }
 
 /// A tet near every span of ids: one with a vertex in it, or else the one of the span before.
 fn hints(kernel: &Kernel<'_>) -> Vec<TetId> {
     let mut hints = vec![TetId::NONE; kernel.points.len() / HINT_SPAN + 1];
+    let mut first = TetId::NONE;
     for slot in 0..kernel.rows.slots() {
         let tet = TetId::from_index(slot);
         for v in kernel.rows.vertices(tet) {
             if !v.is_ghost() {
                 hints[v.index() / HINT_SPAN] = tet;
+                first = tet;
             }
         }
     }
-    let mut last = TetId::NONE;
     for hint in &mut hints {
         if *hint == TetId::NONE {
-            *hint = last;
+            *hint = first;
         }
-        last = *hint;
+        first = *hint;
     }
     hints
 }

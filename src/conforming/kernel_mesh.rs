@@ -12,6 +12,7 @@
 //! 33 B a slot, 32 B a point. Handing over to the complex keeps the peak at 48 B a tet.
 
 use glam::DVec3;
+use rayon::iter::ParallelExtend;
 
 use crate::error::{Error, Result};
 use crate::index::{TetFace, TetId, VertexId};
@@ -29,6 +30,8 @@ pub(super) struct StoredPoint {
 
 /// What the kernel's steps need of a mesh.
 pub(super) trait KernelMesh {
+    /// Whether other threads change the mesh at the same time: a row is trusted only once it is claimed.
+    const IS_SHARED: bool;
     fn point(&self, vertex: VertexId) -> DVec3;
     fn vertices(&self, tet: TetId) -> [VertexId; 4];
     fn neighbors(&self, tet: TetId) -> [TetFace; 4];
@@ -36,12 +39,10 @@ pub(super) trait KernelMesh {
     fn set_neighbor(&mut self, side: TetFace, other: TetFace);
     fn is_marked(&self, tet: TetId) -> bool;
     fn set_mark(&mut self, tet: TetId, marked: bool);
-    /// Whether this thread may replace tets at `vertex`; true for the ghost.
-    fn owns(&self, vertex: VertexId) -> bool;
-    /// Whether `tet` cannot be taken away by another thread now.
-    fn is_stable(&self, vertices: &[VertexId; 4]) -> bool;
-    /// Slots that can still be taken.
-    fn room(&self) -> usize;
+    /// Makes this tet one that only this thread changes; false where another thread has it.
+    fn claim(&mut self, tet: TetId) -> bool;
+    /// Whether so many slots can be taken now.
+    fn has_room(&mut self, slots: usize) -> bool;
     fn take_slot(&mut self) -> TetId;
     fn free_slot(&mut self, tet: TetId);
 
@@ -87,7 +88,8 @@ impl KernelRows {
     pub fn extend(&mut self, count: usize) -> Result<usize> {
         self.reserve(count)?;
         let first = self.slots();
-        self.halves.resize(2 * (first + count) + 1, [u32::MAX; 4]);
+        // In parallel: it is the first touch of most of the memory.
+        self.halves.par_extend(rayon::iter::repeat_n([u32::MAX; 4], 2 * count));
         self.marks.resize(first + count, 0);
         Ok(first)
     }
@@ -101,11 +103,8 @@ impl KernelRows {
         self.halves[2 * slot + 1] == [u32::MAX; 4]
     }
 
-    /// Moves the rows together over the free slots, in slot order, and mends the neighbours.
+    /// Moves the rows together over the free slots, in slot order, mends the neighbours and gives back what is left over.
     pub fn compact(&mut self) {
-        if self.free.is_empty() {
-            return;
-        }
         // Fill each hole with the last live tet: few rows move, and locality is kept but for them.
         self.free.sort_unstable();
         let mut end = self.slots();
@@ -131,6 +130,8 @@ impl KernelRows {
         }
         self.marks.truncate(end);
         self.halves.truncate(2 * end + 1);
+        self.marks.shrink_to_fit();
+        self.halves.shrink_to_fit();
     }
 }
 
@@ -141,6 +142,8 @@ pub(super) struct ExclusiveMesh<'a> {
 }
 
 impl KernelMesh for ExclusiveMesh<'_> {
+    const IS_SHARED: bool = false;
+
     #[inline]
     fn point(&self, vertex: VertexId) -> DVec3 {
         self.points[vertex.index()].point
@@ -178,18 +181,13 @@ impl KernelMesh for ExclusiveMesh<'_> {
     }
 
     #[inline]
-    fn owns(&self, _vertex: VertexId) -> bool {
+    fn claim(&mut self, _tet: TetId) -> bool {
         true
     }
 
     #[inline]
-    fn is_stable(&self, _vertices: &[VertexId; 4]) -> bool {
-        true
-    }
-
-    #[inline]
-    fn room(&self) -> usize {
-        MAX_TETS - self.rows.slots() + self.rows.free.len()
+    fn has_room(&mut self, slots: usize) -> bool {
+        MAX_TETS - self.rows.slots() + self.rows.free.len() >= slots
     }
 
     #[inline]

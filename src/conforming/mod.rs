@@ -20,6 +20,7 @@ pub mod boundary_slivers;
 mod cavity;
 pub mod cavity_insertion;
 pub mod delaunay_kernel;
+mod delaunay_numbering;
 mod delaunay_parallel;
 pub mod domain_labels;
 pub mod enclosure;
@@ -62,7 +63,7 @@ use std::time::Instant;
 use crate::conforming::assembly::{Carved, carve, finish};
 use crate::conforming::boundary_recovery::{recover, remove_from_volume, restore_surface};
 use crate::conforming::boundary_slivers::delete_boundary_slivers;
-use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, tetrahedralize};
+use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, TetNumbers, tetrahedralize};
 use crate::conforming::domain_labels::{Region, label_domain};
 use crate::conforming::input_check::CheckedSurface;
 use crate::conforming::options::{Options, RecoveryMode};
@@ -111,7 +112,7 @@ fn delaunay_options(options: &Options) -> DelaunayOptions {
         1 => PointOrder::Random,
         _ => PointOrder::Spatial,
     };
-    DelaunayOptions { order, seed: 0 }
+    DelaunayOptions { order, seed: 0, numbers: TetNumbers::Reproducible }
 }
 
 /// The Delaunay mesh of the points, as it is: one region 1, no boundary.

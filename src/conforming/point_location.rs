@@ -2,13 +2,16 @@
 //!
 //! # Method
 //! From a tet near the point the walk crosses a face that has the point strictly beyond it, and never back through the
-//! face it came in by; it ends in a tet none of whose faces does, or in a ghost tet. The first face looked at is
-//! chosen at random in every tet, so that the walk cannot circle for ever.
+//! face it came in by; it ends in a tet none of whose faces does, or in a ghost tet. The face opposite to the vertex
+//! nearest to the point is tried last: so the walk turns around that vertex before it leaves it, and does not follow
+//! the long tets that points on surfaces make.
 //! # Source
-//! Remembering stochastic walk [DevillersPionTeillaud2002].
+//! Visibility walk [DevillersPionTeillaud2002]; it cannot circle, because a Delaunay mesh is acyclic as seen from any
+//! point [Edelsbrunner1990].
 //! # Invariants
 //! Orientation is exact: the tet found contains the point, boundary included; a ghost tet found sees it strictly
-//! beyond its hull face.
+//! beyond its hull face. Where other threads change the mesh, a row may be read half old and half new: every step is
+//! still one between existing slots and points, and whoever claims the tet found has to look at it again.
 //! # Cost
 //! A few tets where consecutive points are near each other, O(n^(1/3)) at random.
 
@@ -16,7 +19,7 @@ use glam::DVec3;
 
 use super::kernel_mesh::KernelMesh;
 use crate::geometry::predicates::{offset_orientation, orient3d};
-use crate::index::{TetId, VertexId};
+use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_FACES;
 
 /// Where a walk ended.
@@ -26,39 +29,34 @@ pub(super) enum Location {
     Tet(TetId),
     /// On this vertex.
     Vertex(VertexId),
-    /// The way leads through tets that another thread may change.
-    Unreachable,
+    /// Lost among tets that other threads change.
+    Lost,
 }
 
-/// A small generator for the walk's coin: quality does not matter, speed does.
-#[derive(Debug, Clone)]
-pub(super) struct WalkRandom(pub u32);
-
-impl WalkRandom {
-    #[inline]
-    fn next_face(&mut self) -> usize {
-        // Numerical recipes' linear congruential generator; the high bits are the random ones.
-        self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (self.0 >> 30) as usize
-    }
-}
+/// Steps after which a walk among the changes of other threads is given up; the longest of millions took a tenth.
+const SHARED_STEPS: usize = 1 << 14;
 
 /// Walks from `start` to `point`.
-pub(super) fn locate<M: KernelMesh>(mesh: &M, point: DVec3, start: TetId, random: &mut WalkRandom) -> Location {
+pub(super) fn locate<M: KernelMesh>(mesh: &M, point: DVec3, start: TetId) -> Location {
     let mut tet = start;
     let mut vertices = mesh.vertices(tet);
-    if !mesh.is_stable(&vertices) {
-        return Location::Unreachable;
-    }
     if let Some(ghost) = vertices.iter().position(|v| v.is_ghost()) {
         // Enter by the hull face; the walk may well come out again.
-        tet = mesh.neighbors(tet)[ghost].tet();
+        let inner = mesh.neighbors(tet)[ghost];
+        if M::IS_SHARED && inner == TetFace::NONE {
+            return Location::Lost;
+        }
+        tet = inner.tet();
         vertices = mesh.vertices(tet);
     }
     let mut entry = 4;
+    let mut steps = 0;
     'walk: loop {
-        if !mesh.is_stable(&vertices) {
-            return Location::Unreachable;
+        if M::IS_SHARED {
+            steps += 1;
+            if steps > SHARED_STEPS {
+                return Location::Lost;
+            }
         }
         if vertices.iter().any(|v| v.is_ghost()) {
             return Location::Tet(tet);
@@ -66,9 +64,14 @@ pub(super) fn locate<M: KernelMesh>(mesh: &M, point: DVec3, start: TetId, random
         let points =
             [mesh.point(vertices[0]), mesh.point(vertices[1]), mesh.point(vertices[2]), mesh.point(vertices[3])];
         let offsets = [points[0] - point, points[1] - point, points[2] - point, points[3] - point];
-        let first = random.next_face();
-        for turn in 0..4 {
-            let face = (first + turn) & 3;
+        let mut nearest = 0;
+        for i in 1..4 {
+            if offsets[i].length_squared() < offsets[nearest].length_squared() {
+                nearest = i;
+            }
+        }
+        for turn in 1..5 {
+            let face = (nearest + turn) & 3;
             if face == entry {
                 continue;
             }
@@ -76,6 +79,9 @@ pub(super) fn locate<M: KernelMesh>(mesh: &M, point: DVec3, start: TetId, random
             let rough = offset_orientation(offsets[a], offsets[b], offsets[c]);
             if rough.unwrap_or_else(|| orient3d(points[a], points[b], points[c], point)) > 0.0 {
                 let next = mesh.neighbors(tet)[face];
+                if M::IS_SHARED && next == TetFace::NONE {
+                    return Location::Lost;
+                }
                 tet = next.tet();
                 entry = next.face();
                 vertices = mesh.vertices(tet);

@@ -369,7 +369,7 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
-    use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, tetrahedralize};
+    use crate::conforming::delaunay_kernel::{DelaunayOptions, tetrahedralize};
     use crate::index::Label;
 
     /// One tet over the triangle a b c; its boundary is all of its faces.
@@ -399,7 +399,7 @@ mod tests {
             DVec3::new(0.3, 0.3, -3.0),
             DVec3::new(0.3, 0.3, 3.0),
         ];
-        let delaunay = DelaunayOptions { order: PointOrder::Spatial, seed: 0 };
+        let delaunay = DelaunayOptions::default();
         let mut complex = tetrahedralize(&points, &delaunay, &context).unwrap().complex;
         let tets: Vec<TetId> = complex.finite_tets().collect();
         tets.into_iter().for_each(|tet| complex.set_label(tet, Label(1)));

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::delaunay_kernel::{DelaunayOptions, PointOrder, tetrahedralize};
+use super::delaunay_kernel::{DelaunayOptions, tetrahedralize};
 use super::local_reconnection::{FourFour, Objective};
 use super::options::Options;
 use super::parallel_reconnection::{Driver, Insert};
@@ -32,7 +32,7 @@ fn points(seed: u64, count: usize) -> Vec<DVec3> {
 fn start(seed: u64) -> TetComplex {
     let corner = |i: u32| DVec3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2));
     let all: Vec<DVec3> = (0..8).map(corner).chain(points(seed ^ 0xabcd, 8)).collect();
-    let options = DelaunayOptions { order: PointOrder::Spatial, seed: 0 };
+    let options = DelaunayOptions::default();
     let mut complex = tetrahedralize(&all, &options, &RunContext::with_threads(1).unwrap()).unwrap().complex;
     let tets: Vec<TetId> = complex.finite_tets().collect();
     tets.iter().for_each(|&tet| complex.set_label(tet, Label(1)));

@@ -270,7 +270,7 @@ fn best_place<S: TetStore + ?Sized, M: TetMeasure>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, tetrahedralize};
+    use crate::conforming::delaunay_kernel::{DelaunayOptions, tetrahedralize};
     use crate::conforming::flip_criteria::BiasedSine;
     use crate::conforming::flips::commit;
     use crate::context::RunContext;
@@ -285,7 +285,7 @@ mod tests {
             f64::from(state >> 8) / f64::from(1 << 24)
         };
         let points: Vec<DVec3> = (0..count).map(|_| DVec3::new(next(), next(), next())).collect();
-        let options = DelaunayOptions { order: PointOrder::Spatial, seed: 0 };
+        let options = DelaunayOptions::default();
         let mut complex = tetrahedralize(&points, &options, &RunContext::with_threads(1).unwrap()).unwrap().complex;
         let tets: Vec<TetId> = complex.finite_tets().collect();
         tets.into_iter().for_each(|tet| complex.set_label(tet, Label(1)));

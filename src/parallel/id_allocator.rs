@@ -21,6 +21,7 @@ const BLOCK: usize = 256;
 #[derive(Debug, Default)]
 pub struct IdPool {
     ids: Vec<u32>,
+    block: usize,
     next: AtomicUsize,
     returned: Mutex<Vec<u32>>,
 }
@@ -28,7 +29,12 @@ pub struct IdPool {
 impl IdPool {
     /// A pool of these ids, dealt from the end in blocks, each from its end.
     pub fn new(ids: Vec<u32>) -> Self {
-        Self { ids, next: AtomicUsize::new(0), returned: Mutex::default() }
+        Self::with_block(ids, BLOCK)
+    }
+
+    /// The same with blocks of this size, for threads whose ids should not lie side by side.
+    pub fn with_block(ids: Vec<u32>, block: usize) -> Self {
+        Self { ids, block, next: AtomicUsize::new(0), returned: Mutex::default() }
     }
 
     /// An empty allocator of this pool.
@@ -38,9 +44,9 @@ impl IdPool {
 
     fn take_block(&self) -> &[u32] {
         // Relaxed: the list itself was complete before the threads started; only the sum has to be exact.
-        let dealt = self.next.fetch_add(BLOCK, Ordering::Relaxed).min(self.ids.len());
+        let dealt = self.next.fetch_add(self.block, Ordering::Relaxed).min(self.ids.len());
         let end = self.ids.len() - dealt;
-        &self.ids[end.saturating_sub(BLOCK)..end]
+        &self.ids[end.saturating_sub(self.block)..end]
     }
 
     /// All ids that are free after the pass, when every allocator is gone.

@@ -185,7 +185,7 @@ mod tests {
         let mut points = surface.points.clone();
         points.extend(enclosing_corners(&surface.points));
         let context = RunContext::with_threads(1).unwrap();
-        let options = DelaunayOptions { order: PointOrder::Input, seed: 0 };
+        let options = DelaunayOptions { order: PointOrder::Input, ..Default::default() };
         let delaunay = tetrahedralize(&points, &options, &context).unwrap();
         ConstrainedMesh::new(delaunay.complex, &surface.facets)
     }
