@@ -40,7 +40,7 @@ use crate::mesh::numbering::TET_FACES;
 use crate::mesh::tet_complex::TetComplex;
 
 /// Magnitude of a coordinate above which the predicates' products may overflow.
-const LARGEST_COORDINATE: f64 = 1e60;
+pub(super) const LARGEST_COORDINATE: f64 = 1e60;
 
 /// Insertions between two looks at the cancellation flag: about a millisecond.
 const CHECK_INTERVAL: usize = 1024;

@@ -24,6 +24,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
+use crate::conforming::delaunay_kernel::LARGEST_COORDINATE;
 use crate::conforming::options::{DomainRule, Options};
 use crate::conforming::report::CheckReport;
 use crate::context::RunContext;
@@ -144,8 +145,9 @@ impl Check<'_> {
         let mut merged = Vec::with_capacity(self.surface.points.len());
         for (i, &point) in self.surface.points.iter().enumerate() {
             let id = i as u32;
-            if !point.is_finite() {
-                let text = format!("point {i} has a coordinate that is not finite: {point}");
+            if !is_usable(point) {
+                let what = if point.is_finite() { "too large" } else { "not finite" };
+                let text = format!("point {i} has a coordinate that is {what}: {point}");
                 self.error(FindingCode::NonFiniteCoordinate, [i as i64, -1], None, text);
                 merged.push(id);
                 continue;
@@ -180,7 +182,7 @@ impl Check<'_> {
             }
             let corners = facet.map(|v| self.merged[v.index()]);
             let [a, b, c] = corners.map(|v| self.at(v));
-            if !(a.is_finite() && b.is_finite() && c.is_finite()) {
+            if ![a, b, c].into_iter().all(is_usable) {
                 continue;
             }
             let center = (a + b + c) / 3.0;
@@ -432,11 +434,11 @@ impl Check<'_> {
         for i in (0..used.len()).filter(|&i| !used[i]) {
             let point = self.surface.points[i];
             let text = format!("point {i} belongs to no triangle; it is left out");
-            let at = point.is_finite().then_some(point);
+            let at = is_usable(point).then_some(point);
             self.push(FindingCode::UnusedPoint, Severity::Note, [i as i64, -1], at, text);
         }
         let ids: Vec<usize> = (0..used.len())
-            .filter(|&i| used[i] && self.merged[i] == i as u32 && self.surface.points[i].is_finite())
+            .filter(|&i| used[i] && self.merged[i] == i as u32 && is_usable(self.surface.points[i]))
             .collect();
         let points: Vec<DVec3> = ids.iter().map(|&i| self.surface.points[i]).collect();
         let tolerance = BoundingBox::of_points(points.iter().copied()).diagonal() * options.touch_tolerance;
@@ -470,6 +472,11 @@ impl Check<'_> {
             report: self.report,
         }
     }
+}
+
+/// Whether the predicates can work with the point's coordinates.
+fn is_usable(point: DVec3) -> bool {
+    point.is_finite() && point.abs().max_element() <= LARGEST_COORDINATE
 }
 
 fn edges_of([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
@@ -540,6 +547,7 @@ mod tests {
     fn bad_numbers_and_triangles_are_named_together() {
         let mut surface = cube(2);
         surface.points.push(DVec3::new(f64::NAN, 0.0, 0.0));
+        surface.points.push(DVec3::new(0.0, -1e300, 0.0));
         surface.points.push(DVec3::new(0.25, 0.0, 0.0));
         surface.facets.push([VertexId(0), VertexId(1), VertexId(999)]);
         surface.facets.push(surface.facets[0]);

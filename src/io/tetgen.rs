@@ -112,6 +112,10 @@ fn read_facet(scan: &mut TextScan, mesh: &mut FileMesh, base: i64) -> Result<()>
         return Err(scan.refuse("a facet begins with its number of polygons"));
     };
     let polygons = scan.believable(polygons, "polygons", 6)?;
+    if polygons == 0 {
+        // Most likely a line of the next section: there are fewer facets than the file says.
+        return Err(scan.refuse("a facet without polygons"));
+    }
     let holes = scan.believable(holes.unwrap_or(0), "facet holes", 6)?;
     let tag = marker.unwrap_or(0) as i32;
     let mut rings = Vec::with_capacity(polygons);

@@ -135,6 +135,9 @@ impl<'a> File<'a> {
         let first_cell = mesh.types.len();
         if let Some(cells) = child(piece, "Cells") {
             self.read_cells(cells, None, base, mesh)?;
+            if piece.attribute("NumberOfCells").is_some() {
+                self.compare_count(piece, "NumberOfCells", mesh.types.len() - first_cell)?;
+            }
         }
         for (name, kind) in
             [("Verts", 0), ("Lines", cell::LINE), ("Strips", cell::TRIANGLE_STRIP), ("Polys", cell::POLYGON)]
@@ -142,7 +145,9 @@ impl<'a> File<'a> {
             if let Some(cells) = child(piece, name)
                 && self.count(piece, &format!("NumberOf{name}"))? > 0
             {
+                let before = mesh.types.len();
                 self.read_cells(cells, Some(kind), base, mesh)?;
+                self.compare_count(piece, &format!("NumberOf{name}"), mesh.types.len() - before)?;
             }
         }
         if let Some(data) = child(piece, "PointData") {
@@ -153,6 +158,15 @@ impl<'a> File<'a> {
             self.read_arrays(data, cells, &mut mesh.cell_data)?;
         }
         Ok(())
+    }
+
+    /// A count that is not what the arrays hold is a sign of a damaged file.
+    fn compare_count(&self, piece: Node, name: &str, found: usize) -> Result<()> {
+        let claimed = self.count(piece, name)?;
+        if claimed == found {
+            return Ok(());
+        }
+        Err(self.refuse(format!("{name} is {claimed}, but there are {found}")))
     }
 
     /// Cells of a piece; `kind` for poly data, whose section says it.
