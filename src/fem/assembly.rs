@@ -16,7 +16,9 @@ use rayon::prelude::*;
 use crate::context::RunContext;
 use crate::error::{Error, Result};
 use crate::fem::element_mesh::ElementMesh;
-use crate::fem::element_stiffness::{ElementMatrix, Formulation, coupling_block, element_stiffness, tet_gradients};
+use crate::fem::element_stiffness::{
+    ElementMatrix, Formulation, coupling_block, element_stiffness, is_inverted, tet_gradients,
+};
 use crate::fem::material::{Material, MaterialMap};
 use crate::mesh::mixed_mesh::ElementKind;
 use crate::sparse::block_csr::BlockCsr;
@@ -58,7 +60,7 @@ pub fn assemble_stiffness(
 ) -> Result<BlockCsr> {
     context.check()?;
     let materials = ElementMaterials::new(mesh, materials)?;
-    if let Some(element) = context.install(|| first_inverted(mesh, formulation)) {
+    if let Some(element) = context.install(|| first_inverted(mesh)) {
         return Err(Error::argument("mesh", format!("element {element} has no positive volume")));
     }
     let mut matrix = BlockCsr::zero(model.pattern.clone());
@@ -99,22 +101,13 @@ impl ElementMaterials {
     }
 }
 
-fn first_inverted(mesh: &ElementMesh, formulation: Formulation) -> Option<usize> {
-    let unit = Material::new(1.0, 0.0).expect("a valid material");
-    (0..mesh.element_count())
-        .into_par_iter()
-        .map_init(ElementMatrix::default, |matrix, element| {
-            let mut points = [DVec3::ZERO; 20];
-            let kind = mesh.element_points(element, &mut points);
-            let inverted = if kind == ElementKind::Tet {
-                !(tet_gradients([points[0], points[1], points[2], points[3]]).1 > 0.0)
-            } else {
-                element_stiffness(kind, formulation, &points[..kind.node_count()], &unit, matrix).is_err()
-            };
-            inverted.then_some(element)
-        })
-        .flatten()
-        .min()
+fn first_inverted(mesh: &ElementMesh) -> Option<usize> {
+    let is_inverted = |element: &usize| {
+        let mut points = [DVec3::ZERO; 20];
+        let kind = mesh.element_points(*element, &mut points);
+        is_inverted(kind, &points[..kind.node_count()])
+    };
+    (0..mesh.element_count()).into_par_iter().filter(is_inverted).min()
 }
 
 fn fill_rows(

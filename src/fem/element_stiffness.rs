@@ -121,20 +121,31 @@ pub fn element_stiffness(
         && matches!(kind, ElementKind::Hexahedron | ElementKind::QuadraticHexahedron);
     let mut extra = has_extra.then(|| ExtraModes::new(kind, points)).transpose()?;
     for q in quadrature(kind) {
-        let shape = shape_functions(kind, q.point);
-        let (inverse_transposed, determinant) = jacobian(&shape.gradients[..nodes], points)?;
+        let (inverse_transposed, determinant) = jacobian(&q.shape.gradients[..nodes], points)?;
         let weight = q.weight * determinant;
         let mut gradients = [DVec3::ZERO; MAX_NODES];
-        for (gradient, reference) in gradients.iter_mut().zip(&shape.gradients[..nodes]) {
+        for (gradient, reference) in gradients.iter_mut().zip(&q.shape.gradients[..nodes]) {
             *gradient = inverse_transposed * *reference;
         }
         for i in 0..nodes {
-            for j in 0..nodes {
-                out.blocks[i * nodes + j] += coupling_block(gradients[i], gradients[j], lambda * weight, mu * weight);
+            let left = gradients[i] * weight;
+            for j in i..nodes {
+                let right = gradients[j];
+                out.blocks[i * nodes + j] += DMat3::from_cols(left * right.x, left * right.y, left * right.z);
             }
         }
         if let Some(extra) = &mut extra {
             extra.accumulate(kind, q.point, determinant, weight, &gradients[..nodes], (lambda, mu));
+        }
+    }
+    // Now the upper blocks hold G = sum of a b^T; the coupling is lambda G + mu G^T + mu trace(G) I.
+    for i in 0..nodes {
+        for j in i..nodes {
+            let product = out.blocks[i * nodes + j];
+            let trace = product.x_axis.x + product.y_axis.y + product.z_axis.z;
+            let block = product * lambda + product.transpose() * mu + DMat3::from_diagonal(DVec3::splat(mu * trace));
+            out.blocks[i * nodes + j] = block;
+            out.blocks[j * nodes + i] = block.transpose();
         }
     }
     if let Some(extra) = extra {
@@ -143,8 +154,19 @@ pub fn element_stiffness(
     Ok(())
 }
 
-/// Inverse transposed Jacobian of the map from the reference element, and its determinant.
-fn jacobian(gradients: &[DVec3], points: &[DVec3]) -> Result<(DMat3, f64), InvertedElement> {
+/// Whether [`element_stiffness`] would refuse an element.
+pub fn is_inverted(kind: ElementKind, points: &[DVec3]) -> bool {
+    if kind == ElementKind::Tet {
+        let (_, volume) = tet_gradients([points[0], points[1], points[2], points[3]]);
+        return !(volume > 0.0);
+    }
+    let nodes = kind.node_count();
+    let is_refused = |gradients: &[DVec3]| !(jacobian_matrix(gradients, points).determinant() > 0.0);
+    quadrature(kind).iter().any(|q| is_refused(&q.shape.gradients[..nodes]))
+        || is_refused(&shape_functions(kind, reference_center(kind)).gradients[..nodes])
+}
+
+fn jacobian_matrix(gradients: &[DVec3], points: &[DVec3]) -> DMat3 {
     let mut matrix = DMat3::ZERO;
     for (gradient, point) in gradients.iter().zip(points) {
         // Column d is the derivative of the position by reference coordinate d.
@@ -152,6 +174,12 @@ fn jacobian(gradients: &[DVec3], points: &[DVec3]) -> Result<(DMat3, f64), Inver
         matrix.y_axis += gradient.y * *point;
         matrix.z_axis += gradient.z * *point;
     }
+    matrix
+}
+
+/// Inverse transposed Jacobian of the map from the reference element, and its determinant.
+fn jacobian(gradients: &[DVec3], points: &[DVec3]) -> Result<(DMat3, f64), InvertedElement> {
+    let matrix = jacobian_matrix(gradients, points);
     let determinant = matrix.determinant();
     if !(determinant > 0.0) {
         return Err(InvertedElement);
@@ -189,8 +217,7 @@ impl ExtraModes {
         let mut volume = 0.0;
         let mut mean = [DVec3::ZERO; MODES];
         for q in quadrature(kind) {
-            let shape = shape_functions(kind, q.point);
-            let (_, determinant) = jacobian(&shape.gradients[..nodes], points)?;
+            let (_, determinant) = jacobian(&q.shape.gradients[..nodes], points)?;
             let weight = q.weight * determinant;
             volume += weight;
             for (sum, gradient) in mean.iter_mut().zip(modes.gradients(kind, q.point, determinant)) {

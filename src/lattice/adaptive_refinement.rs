@@ -28,7 +28,7 @@ use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
 use crate::lattice::interface_carving::carve;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::mesh_regions::{joinable_regions, regions_of, relabel_loose_regions, surplus_of};
-use crate::lattice::mixed_elements;
+use crate::lattice::mixed_elements::{self, SurfaceCount};
 use crate::lattice::options::Options;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::report::Report;
@@ -88,12 +88,12 @@ pub fn refine(
     let elements = rounds.run(&mut lattice)?;
     report.set("lattice.level", f64::from(lattice.deepest_level()));
     report.set("lattice.spacing", input.spacing);
-    let mut cubes = Vec::new();
-    if options.mixed_elements {
-        let limit = options.max_surface_triangles_on_pyramid;
-        cubes = report.timed("mixed_elements", || mixed_elements::find_cubes(&lattice, &elements, limit))?;
-    }
     let smooths = options.smoothing_iterations > 0;
+    let mut cubes = Vec::new();
+    if options.mixed_elements || smooths {
+        let surface = if options.mixed_elements { SurfaceCount::Counted } else { SurfaceCount::Skipped };
+        cubes = report.timed("mixed_elements", || mixed_elements::find_cubes(&lattice, &elements, surface))?;
+    }
     let mesh = report.timed("compaction", || mixed_elements::compact(&lattice, &elements, &cubes, smooths));
     // Giving memory back takes the system some time.
     rayon::join(|| drop(elements), || drop(lattice));

@@ -30,7 +30,8 @@ pub struct CandidateMesh {
     pub hexahedra: Vec<[VertexId; 8]>,
     /// Label per hexahedron.
     pub hexahedron_labels: Vec<Label>,
-    /// Cubes of tets that `mixed_elements` may merge once the vertices have moved; empty where not asked for.
+    /// Cubes of tets that the elastic model takes as hexahedra, and that `mixed_elements` may merge once the vertices have
+    /// moved; empty where nobody asks for them.
     pub cubes: Vec<MergeableCube>,
     /// Vertices at the caller's fixed points.
     pub fixed: Vec<VertexId>,
@@ -47,6 +48,8 @@ pub struct MergeableCube {
     pub corners: [VertexId; 8],
     /// Vertices across the faces, in the order of `numbering::HEX_FACES`.
     pub apexes: [VertexId; 6],
+    /// The most triangles that one of its pyramids would have on a surface.
+    pub surface_triangles: u8,
 }
 
 impl CandidateMesh {

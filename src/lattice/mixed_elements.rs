@@ -7,8 +7,10 @@
 //! 3. Between two cubes the tets across their common face vanish. Between a cube and a vertex `c'` that is no centre
 //!    the four tets across the face become a pyramid with apex `c'`.
 //! 4. A cube with a pyramid that would have more surface triangles than allowed stays tets.
-//! 5. The cubes are found in the lattice and merged after smoothing, where their tets are still whole and the merged
-//!    elements are good enough. So the surfaces of the mixed mesh are those of the tetrahedral mesh.
+//! 5. The cubes are found in the lattice. The elastic model of the smoothing takes all of them, whether a mixed mesh is
+//!    wanted or not ([`elastic_model`](crate::lattice::elastic_model)); they are merged for good after smoothing, where their
+//!    tets are still whole and the merged elements are good enough. So the surfaces of the mixed mesh are those of the
+//!    tetrahedral mesh.
 //!
 //! ```text
 //!     v3 ---- v2
@@ -61,6 +63,15 @@ const CUBE: [IVec3; 8] = [
     IVec3::new(-1, 1, 1),
 ];
 
+/// Whether a limit on surface triangles will be asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SurfaceCount {
+    /// The surface triangles of pyramids are counted.
+    Counted,
+    /// They are taken as none.
+    Skipped,
+}
+
 /// What is known of the tets around a vertex.
 #[derive(Clone, Copy)]
 struct Around {
@@ -69,44 +80,59 @@ struct Around {
     label: Label,
 }
 
-/// The cubes whose tets can be merged; ids are those of the lattice's vertices.
+/// The cubes whose tets can be merged; ids are those of the lattice's vertices. Surface triangles are counted where a limit
+/// on them will be asked for.
 ///
 /// # Errors
 /// As [`neighbors_of`].
-pub fn find_cubes(
-    lattice: &RedGreenLattice,
-    elements: &Elements,
-    max_surface_triangles: usize,
-) -> Result<Vec<MergeableCube>> {
+pub fn find_cubes(lattice: &RedGreenLattice, elements: &Elements, surface: SurfaceCount) -> Result<Vec<MergeableCube>> {
     let around = tets_around_vertices(lattice, elements);
-    let neighbors = neighbors_of(&elements.tets, around.len())?;
     let mut is_center: Vec<bool> = around.iter().map(|a| a.count == TETS_AROUND_VERTEX).collect();
     keep_one_lattice_per_level(lattice, &around, &mut is_center);
-    // Surface triangles of each pyramid (centre, apex); a cube with too many stays tets. A refused cube becomes the
-    // apex of its neighbours' pyramids, whose triangles then lie inside one label: one pass settles it.
-    let mut surface: FxHashMap<(u32, u32), usize> = FxHashMap::default();
-    for (e, tet) in elements.tets.iter().enumerate() {
-        for [a, b] in [[0, 1], [1, 0], [2, 3], [3, 2]] {
-            let (center, apex) = (tet[a], tet[b]);
-            if is_center[center as usize] && !is_center[apex as usize] {
-                let near = neighbors[e][a];
-                let on_surface = near == OUTSIDE || elements.labels[near as usize] != elements.labels[e];
-                *surface.entry((center, apex)).or_default() += usize::from(on_surface);
-            }
-        }
-    }
-    for ((center, _), triangles) in surface {
-        is_center[center as usize] &= triangles <= max_surface_triangles;
-    }
+    let triangles = match surface {
+        SurfaceCount::Counted => surface_triangles(elements, &is_center)?,
+        SurfaceCount::Skipped => FxHashMap::default(),
+    };
     let cube = |center: u32| {
         let half = lattice.frame.edge(u32::from(around[center as usize].level)) / 2;
         let position = lattice.vertices.positions[center as usize];
         let at = |step: IVec3| {
             VertexId(lattice.vertices.find(position + half * step).expect("a full vertex has its 14 neighbours"))
         };
-        MergeableCube { center: VertexId(center), corners: CUBE.map(at), apexes: APEXES.map(|a| at(2 * a)) }
+        MergeableCube {
+            center: VertexId(center),
+            corners: CUBE.map(at),
+            apexes: APEXES.map(|a| at(2 * a)),
+            surface_triangles: triangles.get(&center).copied().unwrap_or(0),
+        }
     };
     Ok((0..around.len() as u32).filter(|v| is_center[*v as usize]).map(cube).collect())
+}
+
+/// The most surface triangles of a pyramid of each cube, by centre; zeros are left out.
+///
+/// A refused cube becomes the apex of its neighbours' pyramids, whose triangles then lie inside one label: counts do not
+/// depend on which cubes are refused.
+fn surface_triangles(elements: &Elements, is_center: &[bool]) -> Result<FxHashMap<u32, u8>> {
+    let neighbors = neighbors_of(&elements.tets, is_center.len())?;
+    let mut of_pyramid: FxHashMap<(u32, u32), u8> = FxHashMap::default();
+    for (e, tet) in elements.tets.iter().enumerate() {
+        for [a, b] in [[0, 1], [1, 0], [2, 3], [3, 2]] {
+            let (center, apex) = (tet[a], tet[b]);
+            if is_center[center as usize] && !is_center[apex as usize] {
+                let near = neighbors[e][a];
+                if near == OUTSIDE || elements.labels[near as usize] != elements.labels[e] {
+                    *of_pyramid.entry((center, apex)).or_default() += 1;
+                }
+            }
+        }
+    }
+    let mut most: FxHashMap<u32, u8> = FxHashMap::default();
+    for ((center, _), count) in of_pyramid {
+        let known = most.entry(center).or_default();
+        *known = (*known).max(count);
+    }
+    Ok(most)
 }
 
 fn tets_around_vertices(lattice: &RedGreenLattice, elements: &Elements) -> Vec<Around> {
@@ -180,6 +206,7 @@ pub fn compact(
             center: number(c.center),
             corners: c.corners.map(number),
             apexes: c.apexes.map(number),
+            surface_triangles: c.surface_triangles,
         })
         .collect();
     if with_scaffold {
@@ -223,26 +250,65 @@ fn vertices_by_first_use(elements: &Elements, vertex_count: usize) -> (Vec<u32>,
     (order, renumbered)
 }
 
-/// Merges the cubes of a mesh whose tets are all still there, where no hexahedron and no pyramid gets a scaled Jacobian
-/// below `min_scaled_jacobian`.
-pub fn merge_cubes(mesh: &mut CandidateMesh, min_scaled_jacobian: f64) {
-    let cubes = std::mem::take(&mut mesh.cubes);
+/// What becomes of the tets of a mesh when cubes are merged.
+pub struct MergedElements {
+    /// Hexahedra with their labels.
+    pub hexahedra: Vec<([VertexId; 8], Label)>,
+    /// Pyramids with their labels.
+    pub pyramids: Vec<([VertexId; 5], Label)>,
+    /// Whether each tet stays.
+    pub is_kept: Vec<bool>,
+    /// The vertices that vanish, each the middle of a hexahedron, in the order of `hexahedra`.
+    pub centers: Vec<VertexId>,
+}
+
+/// The elements that come of merging the cubes whose tets are all still there, where no hexahedron and no pyramid gets a
+/// scaled Jacobian below `min_scaled_jacobian` and no pyramid more than `max_surface_triangles`.
+pub fn merged_elements(mesh: &CandidateMesh, max_surface_triangles: usize, min_scaled_jacobian: f64) -> MergedElements {
+    let cubes = &mesh.cubes;
     let mut cube_of = vec![u32::MAX; mesh.points.len()];
     cubes.iter().enumerate().for_each(|(c, cube)| cube_of[cube.center.index()] = c as u32);
-    let labels = labels_of_whole_cubes(mesh, &cubes, &cube_of);
-    let mut is_merged: Vec<bool> = labels.iter().map(Option::is_some).collect();
-    let points = &mesh.points;
-    let quality = |kind: ElementKind, nodes: &[VertexId]| {
-        let corners: Vec<DVec3> = nodes.iter().map(|v| points[v.index()]).collect();
-        scaled_jacobian(kind, &corners)
+    let labels = labels_of_whole_cubes(mesh, cubes, &cube_of);
+    let is_allowed = |(cube, label): (&MergeableCube, &Option<Label>)| {
+        label.is_some() && usize::from(cube.surface_triangles) <= max_surface_triangles
     };
-    // A cube that is given up turns its neighbours' faces towards it into pyramids: again until nothing changes.
+    let mut is_merged: Vec<bool> = cubes.iter().zip(&labels).map(is_allowed).collect();
+    give_up_bad_cubes(&mesh.points, cubes, &cube_of, min_scaled_jacobian, &mut is_merged);
+    let is_center = |v: &VertexId| cube_of[v.index()] != u32::MAX && is_merged[cube_of[v.index()] as usize];
+    let mut result = MergedElements {
+        hexahedra: Vec::new(),
+        pyramids: Vec::new(),
+        is_kept: mesh.tets.iter().map(|t| !t.iter().any(is_center)).collect(),
+        centers: Vec::new(),
+    };
+    for (c, cube) in cubes.iter().enumerate() {
+        let Some(label) = labels[c].filter(|_| is_merged[c]) else { continue };
+        result.hexahedra.push((cube.corners, label));
+        result.centers.push(cube.center);
+        result.pyramids.extend(pyramids_of(cube, &cube_of, &is_merged).map(|p| (p, label)));
+    }
+    result
+}
+
+/// A cube that is given up turns its neighbours' faces towards it into pyramids: again until nothing changes.
+fn give_up_bad_cubes(
+    points: &[DVec3],
+    cubes: &[MergeableCube],
+    cube_of: &[u32],
+    min_scaled_jacobian: f64,
+    is_merged: &mut [bool],
+) {
+    let quality = |kind: ElementKind, nodes: &[VertexId]| {
+        let mut corners = [DVec3::ZERO; 8];
+        corners.iter_mut().zip(nodes).for_each(|(corner, v)| *corner = points[v.index()]);
+        scaled_jacobian(kind, &corners[..nodes.len()])
+    };
     loop {
         let spoils = |c: &usize| {
             let cube = &cubes[*c];
             is_merged[*c]
                 && (quality(ElementKind::Hexahedron, &cube.corners) < min_scaled_jacobian
-                    || pyramids_of(cube, &cube_of, &is_merged)
+                    || pyramids_of(cube, cube_of, is_merged)
                         .any(|p| quality(ElementKind::Pyramid, &p) < min_scaled_jacobian))
         };
         let spoiled: Vec<usize> = (0..cubes.len()).filter(spoils).collect();
@@ -251,20 +317,17 @@ pub fn merge_cubes(mesh: &mut CandidateMesh, min_scaled_jacobian: f64) {
         }
         spoiled.into_iter().for_each(|c| is_merged[c] = false);
     }
-    for (c, cube) in cubes.iter().enumerate() {
-        let Some(label) = labels[c].filter(|_| is_merged[c]) else { continue };
-        mesh.hexahedra.push(cube.corners);
-        mesh.hexahedron_labels.push(label);
-        for pyramid in pyramids_of(cube, &cube_of, &is_merged) {
-            mesh.pyramids.push(pyramid);
-            mesh.pyramid_labels.push(label);
-        }
-    }
-    let is_center = |v: &VertexId| cube_of[v.index()] != u32::MAX && is_merged[cube_of[v.index()] as usize];
-    let keep: Vec<bool> = mesh.tets.iter().map(|t| !t.iter().any(is_center)).collect();
-    let mut kept = keep.iter();
+}
+
+/// Merges the cubes of a mesh, see [`merged_elements`].
+pub fn merge_cubes(mesh: &mut CandidateMesh, max_surface_triangles: usize, min_scaled_jacobian: f64) {
+    let merged = merged_elements(mesh, max_surface_triangles, min_scaled_jacobian);
+    mesh.cubes.clear();
+    (mesh.hexahedra, mesh.hexahedron_labels) = merged.hexahedra.into_iter().unzip();
+    (mesh.pyramids, mesh.pyramid_labels) = merged.pyramids.into_iter().unzip();
+    let mut kept = merged.is_kept.iter();
     mesh.tets.retain(|_| *kept.next().expect("one flag per tet"));
-    let mut kept = keep.iter();
+    let mut kept = merged.is_kept.iter();
     mesh.tet_labels.retain(|_| *kept.next().expect("one flag per tet"));
     drop_unused_points(mesh);
 }

@@ -20,6 +20,7 @@ pub mod bcc_lattice;
 pub mod boundary_targets;
 pub mod candidate_mesh;
 pub mod duplicated_interfaces;
+pub mod elastic_model;
 pub mod element_labels;
 pub mod element_score;
 pub mod evaluation;
@@ -47,6 +48,8 @@ pub mod subdivision_criteria;
 pub mod subvoxel_surface;
 pub mod surface_crossings;
 pub mod surface_deformation;
+#[cfg(test)]
+mod test_images;
 #[cfg(test)]
 mod topology_tests;
 pub mod untangling;
@@ -140,7 +143,9 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
     }
     context.progress("finishing", 0.95);
     if options.mixed_elements {
-        report.timed("mixed_elements", || mixed_elements::merge_cubes(&mut candidate, options.min_scaled_jacobian));
+        let limit = options.max_surface_triangles_on_pyramid;
+        let worst = options.min_scaled_jacobian;
+        report.timed("mixed_elements", || mixed_elements::merge_cubes(&mut candidate, limit, worst));
         report.set("mesh.hexahedra", candidate.hexahedra.len() as f64);
         report.set("mesh.pyramids", candidate.pyramids.len() as f64);
     }

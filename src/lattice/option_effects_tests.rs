@@ -1,35 +1,25 @@
 //! Every option acts: for each row of the table a value other than the default changes what comes out.
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 
 use crate::context::RunContext;
 use crate::error::{Error, Result};
-use crate::image::grid::Grid;
 use crate::image::label_image::LabelImage;
-use crate::index::Label;
 use crate::lattice::options::{Options, PARAMETERS};
+use crate::lattice::test_images::voxel_image;
 use crate::lattice::{Output, Report};
 use crate::parameters::{ParameterSet, Value};
 
 /// Two halves of a ball, with everything that the clean-up looks for: isolated voxels of both kinds, a small region, a contact
 /// at a corner.
 fn image() -> LabelImage {
-    const N: usize = 20;
-    let grid = Grid::new([N; 3], DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).unwrap();
-    let label = |i: usize| {
-        let at = [i % N, i / N % N, i / N / N];
-        match at {
-            [2, 2, 2] | [3, 16, 16] | [4, 16, 16] => 1,
-            [8, 9, 9] => 0,
-            [16, 16, 3] | [17, 17, 4] | [16, 3, 16] | [17, 4, 17] => 2,
-            _ => {
-                let p = DVec3::from_array(at.map(|x| x as f64));
-                let inside = p.distance(DVec3::new(9.3, 9.6, 9.8)) < 7.2;
-                if inside { 1 + u16::from(p.x > 9.0) } else { 0 }
-            }
-        }
-    };
-    LabelImage::new(grid, (0..N * N * N).map(|i| Label(label(i))).collect(), vec![0, 1, 2]).unwrap()
+    voxel_image(20, |p| match p.to_array().map(|x| x as usize) {
+        [2, 2, 2] | [3, 16, 16] | [4, 16, 16] => 1,
+        [8, 9, 9] => 0,
+        [16, 16, 3] | [17, 17, 4] | [16, 3, 16] | [17, 4, 17] => 2,
+        _ if p.distance(DVec3::new(9.3, 9.6, 9.8)) < 7.2 => 1 + u16::from(p.x > 9.0),
+        _ => 0,
+    })
 }
 
 fn run_with(options: &[(&str, &str)]) -> Result<(Output, Report)> {

@@ -106,24 +106,14 @@ pub fn smooth(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::image::grid::Grid;
     use crate::index::Label;
     use crate::lattice::options::PARAMETERS;
+    use crate::lattice::test_images::voxel_image as image;
     use crate::lattice::{self, CandidateMesh};
     use crate::mesh::mixed_mesh::MixedMesh;
     use crate::mesh::quality::mesh_quality;
     use crate::mesh::validation::check_mixed_mesh;
     use crate::parameters::ParameterSet;
-    use glam::DMat3;
-
-    /// An image of `n^3` voxels labelled by a function of the voxel centre.
-    fn image(n: usize, label: impl Fn(DVec3) -> u16) -> LabelImage {
-        let grid = Grid::new([n; 3], DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).unwrap();
-        let at = |i: usize| DVec3::new((i % n) as f64, (i / n % n) as f64, (i / n / n) as f64);
-        let voxels: Vec<Label> = (0..n * n * n).map(|i| Label(label(at(i)))).collect();
-        let labels = i32::from(voxels.iter().map(|l| l.0).max().unwrap());
-        LabelImage::new(grid, voxels, (0..=labels).collect()).unwrap()
-    }
 
     fn mesh(image: &LabelImage, threads: usize) -> MixedMesh {
         let mut set = ParameterSet::new(PARAMETERS);

@@ -6,7 +6,8 @@
 //!    times the mean length of its edges); where there is none, to the mean of the target points that fit. It is cut to a
 //!    factor times the mean edge length.
 //! 2. Solve `(K + f H^T H) U = f H^T D` for the displacements of all vertices: K linear elasticity with a material per
-//!    label, H picks the source points, f the flexibility and the confidence of the point.
+//!    label on tets, pyramids and hexahedra ([`ElasticModel`]), H picks the source points, f the flexibility and the
+//!    confidence of the point.
 //! 3. Source points of elements that U would spoil get their confidence scaled down; solve again, a few tries.
 //! 4. The move is made under the guard of [`move_guarded`], which damps it where an element is still spoiled.
 //!
@@ -25,14 +26,12 @@ use rayon::prelude::*;
 
 use crate::context::RunContext;
 use crate::error::Result;
-use crate::fem::assembly::{ModelPattern, assemble_stiffness};
-use crate::fem::element_mesh::TetTopology;
-use crate::fem::element_stiffness::Formulation;
 use crate::fem::material::{Material, MaterialMap};
 use crate::image::label_image::LabelImage;
 use crate::index::VertexId;
 use crate::lattice::boundary_targets::{SourcePoints, TargetPoints};
 use crate::lattice::candidate_mesh::CandidateMesh;
+use crate::lattice::elastic_model::ElasticModel;
 use crate::lattice::element_score::{Part, Threshold, tet_fails, tet_score};
 use crate::lattice::options::Options;
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
@@ -91,18 +90,20 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
         return Ok(summary);
     }
     let materials = materials(input)?;
-    let labels: Vec<i32> = mesh.tet_labels.iter().map(|l| input.values[l.index()]).collect();
-    let topology = TetTopology::new(mesh.tets.len());
-    let model = ModelPattern::new(&topology.view(&mesh.points, &mesh.tets, &labels), context)?;
+    let model = ElasticModel::new(mesh, input.values);
+    if !input.options.mixed_elements {
+        mesh.cubes.clear();
+    }
     let mut held = vec![false; mesh.points.len()];
     mesh.fixed.iter().for_each(|v| held[v.index()] = true);
-    let view = topology.view(&mesh.points, &mesh.tets, &labels);
-    let mut matrix = assemble_stiffness(&view, &model, &materials, Formulation::Standard, context)?;
+    let mut matrix = model.stiffness(&mesh.points, &materials, context)?;
     for vertex in &mesh.fixed {
         matrix.add(vertex.index(), vertex.index(), DMat3::from_diagonal(DVec3::splat(HELD)));
     }
     let diagonals: Vec<DMat3> = input.sources.vertices.iter().map(|v| matrix.diagonal(v.index())).collect();
-    let body = Body { diagonals, held, near: tets_at_sources(mesh, input.sources), incidence: &model.incidence };
+    let rows: Vec<i64> = (0..=mesh.tets.len() as i64).map(|t| 4 * t).collect();
+    let own = Incidence::new(mesh.points.len(), &rows, mesh.tets.as_flattened())?;
+    let body = Body { model, diagonals, held, near: tets_at_sources(mesh, input.sources), incidence: &own };
     let scaffold = std::mem::take(&mut mesh.scaffold);
     let rows: Vec<i64> = (0..=scaffold.tets.len() as i64).map(|t| 4 * t).collect();
     let vertices = mesh.points.len() + scaffold.points.len();
@@ -112,7 +113,7 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
         let displacements = displacements_of(mesh, input, &body, &mut matrix, &mut summary, context)?;
         let bound = input.options.min_dihedral_angle;
         let groups = [
-            GuardedTets { tets: &mesh.tets, incidence: &model.incidence, part: Part::Mesh },
+            GuardedTets { tets: &mesh.tets, incidence: &own, part: Part::Mesh },
             GuardedTets { tets: &scaffold.tets, incidence: &around, part: Part::Scaffold },
         ];
         let guarded = move_guarded(&mut mesh.points, &scaffold.points, &groups, &displacements, bound);
@@ -126,6 +127,8 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
 
 /// What stays the same in all iterations.
 struct Body<'a> {
+    /// The elements of the elastic body.
+    model: ElasticModel,
     /// Diagonal block of the stiffness at each source point.
     diagonals: Vec<DMat3>,
     /// Vertices that must not move.
@@ -172,6 +175,7 @@ fn displacements_of(
         }
         summary.scaled_tries += 1;
     }
+    body.model.move_centers(&mut displacements);
     displacements.iter_mut().zip(&body.held).filter(|(_, held)| **held).for_each(|(d, _)| *d = DVec3::ZERO);
     displacements.iter_mut().filter(|d| !d.is_finite()).for_each(|d| *d = DVec3::ZERO);
     Ok(displacements)

@@ -1,26 +1,17 @@
 //! Shapes whose topology is known: thin shells, bodies that touch, cavities.
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 
 use crate::context::RunContext;
-use crate::image::grid::Grid;
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
 use crate::lattice::face_adjacency::neighbors_of;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::options::{Options, PARAMETERS};
+use crate::lattice::test_images::voxel_image as image;
 use crate::mesh::mixed_mesh::MixedMesh;
 use crate::mesh::validation::check_mixed_mesh;
 use crate::parameters::ParameterSet;
-
-/// An image of `n^3` voxels labelled by a function of the voxel centre.
-fn image(n: usize, label: impl Fn(DVec3) -> u16) -> LabelImage {
-    let grid = Grid::new([n; 3], DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).unwrap();
-    let at = |i: usize| DVec3::new((i % n) as f64, (i / n % n) as f64, (i / n / n) as f64);
-    let voxels: Vec<Label> = (0..n * n * n).map(|i| Label(label(at(i)))).collect();
-    let labels = i32::from(voxels.iter().map(|l| l.0).max().unwrap());
-    LabelImage::new(grid, voxels, (0..=labels).collect()).unwrap()
-}
 
 fn mesh(image: &LabelImage, options: &[(&str, &str)]) -> MixedMesh {
     let mut set = ParameterSet::new(PARAMETERS);

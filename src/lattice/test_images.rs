@@ -1,0 +1,22 @@
+//! Images for the tests of this engine.
+
+use glam::{DMat3, DVec3};
+
+use crate::image::grid::Grid;
+use crate::image::label_image::LabelImage;
+use crate::index::Label;
+
+/// An image of `n^3` voxels of 1 mm labelled by a function of the voxel centre.
+pub fn voxel_image(n: usize, label: impl Fn(DVec3) -> u16) -> LabelImage {
+    spaced_image([n; 3], DVec3::ONE, label)
+}
+
+/// An image of voxels of any spacing (mm) labelled by a function of the voxel centre (mm).
+pub fn spaced_image(size: [usize; 3], spacing: DVec3, label: impl Fn(DVec3) -> u16) -> LabelImage {
+    let grid = Grid::new(size, spacing, DVec3::ZERO, DMat3::IDENTITY).unwrap();
+    let [nx, ny, nz] = size;
+    let at = |i: usize| DVec3::new((i % nx) as f64, (i / nx % ny) as f64, (i / nx / ny) as f64) * spacing;
+    let voxels: Vec<Label> = (0..nx * ny * nz).map(|i| Label(label(at(i)))).collect();
+    let labels = i32::from(voxels.iter().map(|l| l.0).max().unwrap());
+    LabelImage::new(grid, voxels, (0..=labels).collect()).unwrap()
+}
