@@ -1,9 +1,8 @@
 //! Vertices move to better places: surface vertices along their surface, others where the worst tet gets best.
 //!
 //! # Method
-//! - Relaxation of a surface vertex: towards the mean of those neighbours on the surface that separate at least the same
-//!   sides, then back onto the surface (or the junction line) by projection.
-//!   Full, half and quarter steps are tried; one
+//! - Relaxation of a surface vertex: along the surface towards the mean of those neighbours on it that separate at least the
+//!   same sides, then back onto the surface (or the junction line) by projection. Full, half and quarter steps are tried; one
 //!   is taken when the ball keeps its lowest score or stays above the bound.
 //! - Optimisation of any vertex: search along fixed directions with shrinking steps for a higher lowest score of the ball;
 //!   surface vertices are projected after each trial and may stay off the surface by a small tolerance.
@@ -18,6 +17,7 @@ use glam::DVec3;
 
 use crate::lattice::element_score::{Ball, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
+use crate::lattice::subvoxel_surface::Side;
 
 /// Directions of the search: axes and diagonals of a cube.
 const DIRECTIONS: [DVec3; 14] = {
@@ -56,7 +56,8 @@ pub fn plan_relaxation(mesh: &ImprovementMesh, v: u32, bound: &Threshold, ball: 
     mesh.gather(v, ball);
     let place = mesh.points[v as usize];
     let reach = ball.edge_length(place);
-    let wanted = place + (mean_on_surface(mesh, v).unwrap_or(place) - place) * RELAXATION;
+    let toward = mean_on_surface(mesh, v).map_or(DVec3::ZERO, |mean| along_surface(mesh, v, mean - place));
+    let wanted = place + toward * RELAXATION;
     let goal = mesh.surface.project(wanted, mesh.sides(v), reach)?;
     if goal.distance_squared(place) < 1e-6 * reach * reach {
         return None;
@@ -72,6 +73,14 @@ pub fn plan_relaxation(mesh: &ImprovementMesh, v: u32, bound: &Threshold, ball: 
     }
     let needed = Threshold::of(before);
     steps(place, goal, &[1.0, 0.5, 0.25]).find(|trial| ball.score_above(*trial, &needed).is_some())
+}
+
+/// The part of a step along the surface between two labels; the whole step elsewhere. The mean of the neighbours of a tip lies
+/// inside of it: a step there and the way back to the nearest surface would shorten the tip each time.
+fn along_surface(mesh: &ImprovementMesh, v: u32, step: DVec3) -> DVec3 {
+    let [Side::Label(a), Side::Label(b)] = *mesh.sides(v) else { return step };
+    let normal = mesh.surface.signed_distance(mesh.points[v as usize], a, b).map(|(_, normal)| normal);
+    normal.map_or(step, |normal| step - normal * step.dot(normal))
 }
 
 fn steps(place: DVec3, goal: DVec3, fractions: &[f64]) -> impl Iterator<Item = DVec3> {
@@ -177,8 +186,7 @@ fn on_surface_trial(
     needed: &Threshold,
     ball: &mut Ball,
 ) -> Option<(DVec3, f64)> {
-    let is_bound_to_plane =
-        mesh.sides(v).iter().any(|s| matches!(s, crate::lattice::subvoxel_surface::Side::Border(_)));
+    let is_bound_to_plane = mesh.sides(v).iter().any(|s| matches!(s, Side::Border(_)));
     let within = |center: DVec3| center + (trial - center).clamp_length_max(slack);
     let exact = mesh.surface.project(trial, mesh.sides(v), 4.0 * step + 4.0 * slack);
     let places = match exact {
