@@ -11,5 +11,6 @@ pub mod morphology;
 pub mod resample;
 pub mod scalar_image;
 pub mod vector_image;
+pub mod voxel_contacts;
 pub mod voxel_image;
 pub mod warp;

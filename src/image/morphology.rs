@@ -5,26 +5,9 @@
 //! 2. [`relabel_isolated`]: voxels without a neighbour of their kind take the commonest label of their 26 neighbours.
 //! 3. [`remove_small_regions`], [`separate_regions`]: face-connected regions below a share of their label become
 //!    background; each region becomes a label of its own.
-//! 4. [`remove_contacts`]: two voxels of a label that touch only at a corner or along an edge are joined through face
-//!    neighbours.
 //!
-//! ```text
-//!     corner contact: p and q opposite in a cube of 8       edge contact: p and q opposite in a square of 4
-//!     six templates: the three axes in any order            two templates: either of the other two voxels
-//!         p -> a -> b -> q, a and b take the label               p -> a -> q, a takes the label
-//! ```
 //! # Source
 //! [Drakopoulos2017] 2.3.2.
-//!
-//! # Differences
-//! A voxel is only ever given to a label of higher priority (background lowest, then the larger labels before the
-//! smaller). Where every template would lower a priority, p or q itself goes to the higher label between them. So the
-//! sum of priorities rises with each change and the loop ends after at most `voxels * labels` changes.
-//!
-//! # Invariants
-//! The random choice depends on the seed only.
-
-use std::collections::VecDeque;
 
 use rayon::prelude::*;
 
@@ -159,143 +142,6 @@ pub fn separate_regions(image: &LabelImage) -> Result<(LabelImage, Vec<Label>)> 
     Ok((LabelImage::new(*image.grid(), voxels, (0..=count as i32).collect())?, originals))
 }
 
-/// Removes corner-only and edge-only contacts of labels; returns how many voxels changed.
-pub fn remove_contacts(image: &mut LabelImage, seed: u64) -> u64 {
-    let mut work = Contacts::new(image, seed);
-    let mut queue: VecDeque<[usize; 3]> = work.positions_with_contacts().into();
-    while let Some(position) = queue.pop_front() {
-        for changed in work.repair(position) {
-            // Contacts can appear only in cubes that hold the changed voxel.
-            let from = changed.map(|c| c.saturating_sub(1));
-            for step in 0..8 {
-                let near = [from[0] + (step & 1), from[1] + (step >> 1 & 1), from[2] + (step >> 2)];
-                if (0..3).all(|axis| near[axis] <= changed[axis]) {
-                    queue.push_back(near);
-                }
-            }
-        }
-    }
-    work.changes
-}
-
-struct Contacts<'a> {
-    image: &'a mut LabelImage,
-    /// Higher values are never given to lower ones.
-    priority: Vec<u32>,
-    random: u64,
-    changes: u64,
-}
-
-impl<'a> Contacts<'a> {
-    fn new(image: &'a mut LabelImage, seed: u64) -> Self {
-        let mut counts = vec![0u64; image.label_count()];
-        image.voxels().iter().for_each(|l| counts[l.index()] += 1);
-        let mut order: Vec<usize> = (1..counts.len()).collect();
-        order.sort_by_key(|l| (std::cmp::Reverse(counts[*l]), *l));
-        let mut priority = vec![0; counts.len()];
-        order.into_iter().enumerate().for_each(|(rank, label)| priority[label] = rank as u32 + 1);
-        Self { image, priority, random: seed ^ 0x9e37_79b9_7f4a_7c15, changes: 0 }
-    }
-
-    fn positions_with_contacts(&self) -> Vec<[usize; 3]> {
-        let [ni, nj, nk] = self.image.grid().size();
-        (0..nj * nk)
-            .into_par_iter()
-            .flat_map_iter(|row| {
-                (0..ni).map(move |i| [i, row % nj, row / nj]).filter(|at| self.find_contact(*at).is_some())
-            })
-            .collect()
-    }
-
-    /// Voxel `corner` (bits x, y, z) of the cube at `at`, where it is inside the image.
-    fn corner(&self, at: [usize; 3], corner: usize) -> Option<[usize; 3]> {
-        let voxel = [at[0] + (corner & 1), at[1] + (corner >> 1 & 1), at[2] + (corner >> 2 & 1)];
-        let size = self.image.grid().size();
-        (0..3).all(|axis| voxel[axis] < size[axis]).then_some(voxel)
-    }
-
-    fn label(&self, at: [usize; 3], corner: usize) -> Option<Label> {
-        self.corner(at, corner).map(|[i, j, k]| self.image.at(i, j, k))
-    }
-
-    /// Two corners of the cube at `at` that touch only at a corner, or along an edge of a square through corner 0.
-    fn find_contact(&self, at: [usize; 3]) -> Option<(usize, usize)> {
-        let is_whole = self.corner(at, 7).is_some();
-        for (p, q) in [(0, 7), (1, 6), (2, 5), (3, 4)] {
-            let Some(own) = self.label(at, p).filter(|l| is_whole && !l.is_background()) else { continue };
-            let alone = |c: usize| c == p || c == q || self.label(at, c) != Some(own);
-            if self.label(at, q) == Some(own) && (0..8).all(alone) {
-                return Some((p, q));
-            }
-        }
-        for (a, b) in [(1, 2), (1, 4), (2, 4)] {
-            for [p, q, c, d] in [[0, a + b, a, b], [a, b, 0, a + b]] {
-                let (Some(own), Some(other)) = (self.label(at, p), self.label(at, q)) else { continue };
-                if own == other
-                    && !own.is_background()
-                    && self.label(at, c).is_some_and(|l| l != own)
-                    && self.label(at, d).is_some_and(|l| l != own)
-                {
-                    return Some((p, q));
-                }
-            }
-        }
-        None
-    }
-
-    fn next_random(&mut self, below: usize) -> usize {
-        // xorshift64*: small, and the same everywhere.
-        self.random ^= self.random >> 12;
-        self.random ^= self.random << 25;
-        self.random ^= self.random >> 27;
-        ((self.random.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 33) as usize) % below
-    }
-
-    /// Removes one contact of the cube at `at`; returns the changed voxels.
-    fn repair(&mut self, at: [usize; 3]) -> Vec<[usize; 3]> {
-        let Some((p, q)) = self.find_contact(at) else { return Vec::new() };
-        let label = self.label(at, p).expect("a contact lies inside the image");
-        let axes: Vec<usize> = [1, 2, 4].into_iter().filter(|axis| (p ^ q) & axis != 0).collect();
-        let orders: &[&[usize]] = match axes.len() {
-            2 => &[&[0], &[1]],
-            _ => &[&[0, 1], &[1, 0], &[0, 2], &[2, 0], &[1, 2], &[2, 1]],
-        };
-        let templates: Vec<Vec<usize>> = orders
-            .iter()
-            .map(|order| {
-                let mut corner = p;
-                order.iter().map(|step| (corner ^= axes[*step], corner).1).collect::<Vec<usize>>()
-            })
-            .filter(|path: &Vec<usize>| path.iter().all(|c| self.rank(at, *c) < self.priority[label.index()]))
-            .collect();
-        let changes: Vec<(usize, Label)> = if templates.is_empty() {
-            // Some voxel between p and q ranks higher: one of the two joins it.
-            let between = (0..8).filter(|c| *c != p && *c != q && (c ^ p) & !(p ^ q) == 0);
-            let higher = between.max_by_key(|c| (self.rank(at, *c), *c)).expect("a square has four voxels");
-            let end = if self.next_random(2) == 0 { p } else { q };
-            vec![(end, self.label(at, higher).expect("it lies between voxels of the image"))]
-        } else {
-            let choice = self.next_random(templates.len());
-            templates[choice].iter().map(|c| (*c, label)).collect()
-        };
-        let mut changed = Vec::new();
-        for (corner, to) in changes {
-            let voxel = self.corner(at, corner).expect("templates stay inside the cube of the contact");
-            let offset = self.image.grid().offset(voxel[0], voxel[1], voxel[2]);
-            self.image.voxels_mut()[offset] = to;
-            self.changes += 1;
-            changed.push(voxel);
-        }
-        // The cube may hold another contact.
-        changed.push(at);
-        changed
-    }
-
-    fn rank(&self, at: [usize; 3], corner: usize) -> u32 {
-        self.label(at, corner).map_or(u32::MAX, |l| self.priority[l.index()])
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -336,24 +182,5 @@ mod tests {
         assert_eq!(separate_regions(&row).unwrap().1, [0, 1, 1, 2].map(Label));
         assert_eq!(remove_small_regions(&mut row, 0.1), vec![0, 0, 0, 0]);
         assert_eq!(remove_small_regions(&mut row, 0.5), vec![0, 1, 0, 0]);
-    }
-
-    #[test]
-    fn no_contact_is_left_in_random_labels() {
-        for seed in 0..4u64 {
-            let mut state = seed * 77 + 5;
-            let voxels = (0..12 * 11 * 10)
-                .map(|_| {
-                    state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-                    ((state >> 41) % 4) as u16
-                })
-                .collect();
-            let mut noise = image([12, 11, 10], voxels);
-            let mut again = noise.clone();
-            assert!(remove_contacts(&mut noise, 1) > 0);
-            assert!(Contacts::new(&mut noise, 1).positions_with_contacts().is_empty());
-            remove_contacts(&mut again, 1);
-            assert_eq!(noise, again);
-        }
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! # Method
 //! Up-sampling, isolated voxels, small regions, contacts, then a label of its own for each region where asked for; the
-//! operations are those of `image::morphology`. Every change is a finding with the label and the number of voxels.
+//! operations are those of `image::morphology` and `image::voxel_contacts`. Every change is a finding with the label and the number of voxels.
 //!
 //! # Source
 //! [Drakopoulos2017] 2.3.2.
@@ -12,9 +12,8 @@ use std::borrow::Cow;
 use crate::context::RunContext;
 use crate::error::{Finding, FindingCode, Result, Severity};
 use crate::image::label_image::LabelImage;
-use crate::image::morphology::{
-    IsolatedKind, relabel_isolated, remove_contacts, remove_small_regions, separate_regions, upsample,
-};
+use crate::image::morphology::{IsolatedKind, relabel_isolated, remove_small_regions, separate_regions, upsample};
+use crate::image::voxel_contacts::remove_contacts;
 use crate::lattice::options::{IsolatedVoxels, Options};
 use crate::lattice::report::Report;
 use crate::statistics::Statistics;
