@@ -49,7 +49,7 @@ fn written(format: &str, shape: &Shape) -> Option<Vec<u8>> {
     let np = shape.claimed_points.unwrap_or(shape.points.len() as i64);
     let nt = shape.claimed_triangles.unwrap_or(shape.triangles.len() as i64);
     let mut text = String::new();
-    let mut rows = |text: &mut String, before: &str, after: &str, counted: bool| {
+    let rows = |text: &mut String, before: &str, after: &str, counted: bool| {
         for (i, [x, y, z]) in shape.points.iter().enumerate() {
             let number = if counted { format!("{i} ") } else { String::new() };
             writeln!(text, "{number}{before}{x:e} {y:e} {z:e}{after}").unwrap();

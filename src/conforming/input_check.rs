@@ -115,7 +115,7 @@ pub fn check(surface: &SurfaceMesh, options: &Options, context: &RunContext) -> 
         check.error(FindingCode::DegeneratePointSet, [-1, -1], None, "the surface has no triangles".into());
     }
     check.check_dimension();
-    check.check_edges(options);
+    check.check_edges(options, context);
     context.check()?;
     check.check_pairs(context)?;
     check.check_near_points(options);
@@ -219,19 +219,12 @@ impl Check<'_> {
         }
     }
 
-    fn check_edges(&mut self, options: &Options) {
-        let mut edges: FxHashMap<[u32; 2], Vec<u32>> = FxHashMap::default();
-        for (local, (_, facet)) in self.facets.iter().enumerate() {
-            for edge in edges_of(*facet) {
-                edges.entry(sorted(edge)).or_default().push(local as u32);
-            }
-        }
-        let mut keys: Vec<[u32; 2]> = edges.keys().copied().collect();
-        keys.sort_unstable();
+    fn check_edges(&mut self, options: &Options, context: &RunContext) {
+        let edges = context.install(|| EdgeTable::new(&self.facets));
         let sheets = self.find_sheets(&edges);
-        self.report_open_edges(&keys, &edges, &sheets);
-        for &key in keys.iter().filter(|key| edges[*key].len() > 2) {
-            let count = edges[&key].len();
+        self.report_open_edges(&edges, &sheets);
+        for edge in (0..edges.ends.len()).filter(|&edge| edges.facets(edge).len() > 2) {
+            let (key, count) = (edges.ends[edge], edges.facets(edge).len());
             let forbidden = options.domain == DomainRule::Nesting && count % 2 == 1;
             let severity = if forbidden { Severity::Error } else { Severity::Note };
             let why = if forbidden { ": nesting levels need an even number" } else { "" };
@@ -247,20 +240,19 @@ impl Check<'_> {
     }
 
     /// For each facet, whether it is peeled off as part of a sheet.
-    fn find_sheets(&self, edges: &FxHashMap<[u32; 2], Vec<u32>>) -> Vec<bool> {
-        let mut left: FxHashMap<[u32; 2], usize> = edges.iter().map(|(k, f)| (*k, f.len())).collect();
+    fn find_sheets(&self, edges: &EdgeTable) -> Vec<bool> {
+        let mut left: Vec<usize> = (0..edges.ends.len()).map(|edge| edges.facets(edge).len()).collect();
         let mut peeled = vec![false; self.facets.len()];
-        let mut stack: Vec<u32> = edges.values().filter(|f| f.len() == 1).map(|f| f[0]).collect();
+        let singles = (0..left.len()).filter(|&edge| left[edge] == 1);
+        let mut stack: Vec<u32> = singles.map(|edge| edges.facets(edge)[0]).collect();
         while let Some(facet) = stack.pop() {
             if std::mem::replace(&mut peeled[facet as usize], true) {
                 continue;
             }
-            for edge in edges_of(self.facets[facet as usize].1) {
-                let key = sorted(edge);
-                let count = left.get_mut(&key).expect("every edge of a facet was counted");
-                *count -= 1;
-                if *count == 1 {
-                    stack.extend(edges[&key].iter().filter(|&&f| !peeled[f as usize]));
+            for edge in edges.of_facet[facet as usize].map(|edge| edge as usize) {
+                left[edge] -= 1;
+                if left[edge] == 1 {
+                    stack.extend(edges.facets(edge).iter().filter(|&&f| !peeled[f as usize]));
                 }
             }
         }
@@ -268,7 +260,7 @@ impl Check<'_> {
     }
 
     /// Open edges are errors unless their sheet lies inside what is closed, or its patch says embedded.
-    fn report_open_edges(&mut self, keys: &[[u32; 2]], edges: &FxHashMap<[u32; 2], Vec<u32>>, sheets: &[bool]) {
+    fn report_open_edges(&mut self, edges: &EdgeTable, sheets: &[bool]) {
         if !sheets.contains(&true) {
             return;
         }
@@ -277,8 +269,9 @@ impl Check<'_> {
         let boxes = core.iter().map(|&f| self.facet_box(f)).collect();
         let tree = AabbTree::new(boxes);
         let mut inside: FxHashMap<u32, bool> = FxHashMap::default();
-        for &key in keys {
-            let [facet] = edges[&key][..] else { continue };
+        for edge in 0..edges.ends.len() {
+            let &[facet] = edges.facets(edge) else { continue };
+            let key = edges.ends[edge];
             let sheet = component[facet as usize];
             let enclosed = *inside.entry(sheet).or_insert_with(|| self.is_enclosed(facet, &core, &tree));
             let severity = if enclosed { Severity::Note } else { Severity::Error };
@@ -298,7 +291,7 @@ impl Check<'_> {
     }
 
     /// Number of the sheet (its smallest facet) of each peeled facet.
-    fn sheet_components(&self, edges: &FxHashMap<[u32; 2], Vec<u32>>, sheets: &[bool]) -> Vec<u32> {
+    fn sheet_components(&self, edges: &EdgeTable, sheets: &[bool]) -> Vec<u32> {
         let mut component = vec![u32::MAX; self.facets.len()];
         for seed in (0..self.facets.len() as u32).filter(|&f| sheets[f as usize]) {
             if component[seed as usize] != u32::MAX {
@@ -307,8 +300,8 @@ impl Check<'_> {
             let mut stack = vec![seed];
             component[seed as usize] = seed;
             while let Some(facet) = stack.pop() {
-                for edge in edges_of(self.facets[facet as usize].1) {
-                    for &other in &edges[&sorted(edge)] {
+                for edge in edges.of_facet[facet as usize] {
+                    for &other in edges.facets(edge as usize) {
                         if sheets[other as usize] && component[other as usize] == u32::MAX {
                             component[other as usize] = seed;
                             stack.push(other);
@@ -341,7 +334,7 @@ impl Check<'_> {
     }
 
     /// Propagates the turn over edges of two facets and reports the smaller part of each component.
-    fn check_orientation(&mut self, edges: &FxHashMap<[u32; 2], Vec<u32>>) {
+    fn check_orientation(&mut self, edges: &EdgeTable) {
         let mut turned: Vec<Option<bool>> = vec![None; self.facets.len()];
         let mut to_report = Vec::new();
         for seed in 0..self.facets.len() {
@@ -354,8 +347,9 @@ impl Check<'_> {
             while next < members.len() {
                 let facet = members[next];
                 next += 1;
-                for [u, v] in edges_of(self.facets[facet].1) {
-                    let [one, two] = edges[&sorted([u, v])][..] else { continue };
+                for (place, [u, v]) in edges_of(self.facets[facet].1).into_iter().enumerate() {
+                    let edge = edges.of_facet[facet][place] as usize;
+                    let &[one, two] = edges.facets(edge) else { continue };
                     let other = if one as usize == facet { two } else { one } as usize;
                     let same_way = edges_of(self.facets[other].1).contains(&[u, v]);
                     if turned[other].is_none() {
@@ -471,6 +465,49 @@ impl Check<'_> {
             findings: self.findings,
             report: self.report,
         }
+    }
+}
+
+/// The edges of the facets, in the order of their ends.
+struct EdgeTable {
+    /// Smaller and larger end of each edge.
+    ends: Vec<[u32; 2]>,
+    /// Where the facets of each edge begin in `facets`, and one entry for the end.
+    starts: Vec<u32>,
+    /// The facets of all edges, in rising order for each.
+    facets: Vec<u32>,
+    /// The edges of each facet, in the order of `edges_of`.
+    of_facet: Vec<[u32; 3]>,
+}
+
+impl EdgeTable {
+    fn new(facets: &[(u32, [u32; 3])]) -> Self {
+        let sides = |(facet, row): (usize, &(u32, [u32; 3]))| {
+            let edges = edges_of(row.1);
+            [0, 1, 2].map(|place| (sorted(edges[place]), facet as u32, place as u8))
+        };
+        let mut all: Vec<_> = facets.iter().enumerate().flat_map(sides).collect();
+        all.par_sort_unstable();
+        let mut table = Self {
+            ends: Vec::new(),
+            starts: Vec::new(),
+            facets: Vec::with_capacity(all.len()),
+            of_facet: vec![[0; 3]; facets.len()],
+        };
+        for (ends, facet, place) in all {
+            if table.ends.last() != Some(&ends) {
+                table.ends.push(ends);
+                table.starts.push(table.facets.len() as u32);
+            }
+            table.of_facet[facet as usize][usize::from(place)] = table.ends.len() as u32 - 1;
+            table.facets.push(facet);
+        }
+        table.starts.push(table.facets.len() as u32);
+        table
+    }
+
+    fn facets(&self, edge: usize) -> &[u32] {
+        &self.facets[self.starts[edge] as usize..self.starts[edge + 1] as usize]
     }
 }
 
