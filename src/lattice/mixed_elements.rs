@@ -36,7 +36,7 @@ use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::scaffold::Scaffold;
 use crate::mesh::mixed_mesh::ElementKind;
 use crate::mesh::numbering::HEX_FACES;
-use crate::mesh::quality::scaled_jacobian;
+use crate::mesh::quality::{pyramid_corner_jacobian, scaled_jacobian};
 use crate::parallel::ordered_concat::ordered_concat;
 
 /// Directions across the faces of a cube, in the order of `numbering::HEX_FACES`.
@@ -263,7 +263,8 @@ pub struct MergedElements {
 }
 
 /// The elements that come of merging the cubes whose tets are all still there, where no hexahedron and no pyramid gets a
-/// scaled Jacobian below `min_scaled_jacobian` and no pyramid more than `max_surface_triangles`.
+/// scaled Jacobian below `min_scaled_jacobian`, of a pyramid also at the corners of its base, and no pyramid more than
+/// `max_surface_triangles`.
 pub fn merged_elements(mesh: &CandidateMesh, max_surface_triangles: usize, min_scaled_jacobian: f64) -> MergedElements {
     let cubes = &mesh.cubes;
     let mut cube_of = vec![u32::MAX; mesh.points.len()];
@@ -301,7 +302,8 @@ fn give_up_bad_cubes(
     let quality = |kind: ElementKind, nodes: &[VertexId]| {
         let mut corners = [DVec3::ZERO; 8];
         corners.iter_mut().zip(nodes).for_each(|(corner, v)| *corner = points[v.index()]);
-        scaled_jacobian(kind, &corners[..nodes.len()])
+        let worst = scaled_jacobian(kind, &corners[..nodes.len()]);
+        if kind == ElementKind::Pyramid { worst.min(pyramid_corner_jacobian(&corners)) } else { worst }
     };
     loop {
         let spoils = |c: &usize| {

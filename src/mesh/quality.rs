@@ -114,6 +114,13 @@ pub fn scaled_jacobian(kind: ElementKind, corners: &[DVec3]) -> f64 {
     }
 }
 
+/// The smallest scaled Jacobian at the four corners of a pyramid's base, by the edges that meet there; 1 is best. Stricter on
+/// slanted pyramids than [`scaled_jacobian`], which follows [Verdict2007].
+pub fn pyramid_corner_jacobian(corners: &[DVec3]) -> f64 {
+    let at = |row: &[usize; 4]| normalized_jacobian(corner_frame(corners, *row));
+    PYRAMID_CORNERS.iter().map(at).fold(f64::INFINITY, f64::min) * std::f64::consts::SQRT_2
+}
+
 fn corner_frame(corners: &[DVec3], [at, first, second, third]: [usize; 4]) -> [DVec3; 3] {
     [corners[first] - corners[at], corners[second] - corners[at], corners[third] - corners[at]]
 }
@@ -360,6 +367,16 @@ mod tests {
         [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
             .map(|(x, y, z)| DVec3::new(f64::from(x), f64::from(y), f64::from(z)))
             .to_vec()
+    }
+
+    #[test]
+    fn corners_of_a_pyramid_score_one_when_regular_and_less_when_slanted() {
+        let base = [DVec3::ZERO, DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Y];
+        let with_apex = |apex: DVec3| pyramid_corner_jacobian(&[&base[..], &[apex]].concat());
+        assert!((with_apex(DVec3::new(0.5, 0.5, std::f64::consts::FRAC_1_SQRT_2)) - 1.0).abs() < 1e-12);
+        // Over corner 0: farthest from corner 2, whose edge to the apex has length sqrt(3).
+        assert!((with_apex(DVec3::Z) - (2.0f64 / 3.0).sqrt()).abs() < 1e-12);
+        assert!(with_apex(-DVec3::Z) < 0.0);
     }
 
     #[test]
