@@ -25,9 +25,6 @@ use crate::lattice::options::NonConnectivity;
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::mesh::numbering::TET_FACES;
 
-/// How far outside of a boundary face, in face sizes, the image is asked what lies behind it.
-const PROBE: f64 = 0.2;
-
 /// Surface vertices with what they separate.
 #[derive(Debug, Clone, Default)]
 pub struct SourcePoints {
@@ -108,20 +105,13 @@ impl SourcePoints {
     }
 }
 
-/// What lies behind a face without an element: the background, or the end of the image.
-fn outside_of([a, b, c]: [DVec3; 3], surface: &SubvoxelSurface) -> Side {
-    let normal = (b - a).cross(c - a);
-    let size = normal.length().sqrt();
-    let center = (a + b + c) / 3.0;
-    let probe = center + normal.normalize_or_zero() * size * PROBE;
-    // Tets are labelled by what they hold, so a face can lie a little inside of its label although background is behind.
-    let far = center + normal.normalize_or_zero() * size * 2.0 * PROBE;
-    let label = surface.nearest_label(far);
-    let border = surface.nearest_border(probe);
-    let (axis, at) = surface.border(border);
-    let beyond = if border.is_multiple_of(2) { at - probe[axis] } else { probe[axis] - at };
-    let near_border = beyond > -0.5 * surface.spacing()[axis];
-    if near_border && !label.is_background() { Side::Border(border) } else { Side::Label(Label::BACKGROUND) }
+/// What lies behind a face without an element: the end of the image where the face is in its plane, else the background.
+fn outside_of(face: [DVec3; 3], surface: &SubvoxelSurface) -> Side {
+    let is_on = |plane: &u8| {
+        let (axis, at) = surface.border(*plane);
+        face.iter().all(|p| p[axis] == at)
+    };
+    (0..6).find(is_on).map_or(Side::Label(Label::BACKGROUND), Side::Border)
 }
 
 /// Boundary voxels of an image, thinned.

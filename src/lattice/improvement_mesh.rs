@@ -16,6 +16,7 @@ use rustc_hash::FxHashMap;
 use crate::index::{Label, VertexId};
 use crate::lattice::boundary_targets::SourcePoints;
 use crate::lattice::candidate_mesh::{CandidateMesh, MergeableCube};
+use crate::lattice::change_log::ChangeLog;
 use crate::lattice::element_score::{Ball, Part, Threshold, part_fails, part_score};
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::mesh::numbering::TET_FACES;
@@ -41,6 +42,20 @@ pub struct ImprovementMesh<'a> {
     set_numbers: FxHashMap<Vec<Side>, u32>,
     free: Vec<u32>,
     scratch: Ball,
+    log: ChangeLog,
+}
+
+/// The state of a mesh at some time.
+#[derive(Debug, Clone)]
+pub struct Snapshot {
+    points: Vec<DVec3>,
+    tets: Vec<[u32; 4]>,
+    labels: Vec<Label>,
+    fixed: Vec<bool>,
+    balls: Vec<Vec<u32>>,
+    side_set: Vec<u32>,
+    free: Vec<u32>,
+    log: ChangeLog,
 }
 
 /// A face of the ball of a vertex that separates two sides: the other two vertices.
@@ -76,6 +91,7 @@ impl<'a> ImprovementMesh<'a> {
         fixed[in_mesh..].fill(true);
         let mut result = Self {
             side_set: vec![0; points.len()],
+            log: ChangeLog::new(tets.len()),
             points,
             tets,
             labels,
@@ -120,6 +136,32 @@ impl<'a> ImprovementMesh<'a> {
             cube.corners.iter_mut().for_each(number);
             cube.apexes.iter_mut().for_each(number);
         }
+    }
+
+    /// The present state, to come back to.
+    pub fn snapshot(&self) -> Snapshot {
+        Snapshot {
+            points: self.points.clone(),
+            tets: self.tets.clone(),
+            labels: self.labels.clone(),
+            fixed: self.fixed.clone(),
+            balls: self.balls.clone(),
+            side_set: self.side_set.clone(),
+            free: self.free.clone(),
+            log: self.log.clone(),
+        }
+    }
+
+    /// Comes back to an earlier state.
+    pub fn restore(&mut self, state: Snapshot) {
+        self.points = state.points;
+        self.tets = state.tets;
+        self.labels = state.labels;
+        self.fixed = state.fixed;
+        self.balls = state.balls;
+        self.side_set = state.side_set;
+        self.free = state.free;
+        self.log = state.log;
     }
 
     fn intern(&mut self, set: Vec<Side>) -> u32 {
@@ -295,6 +337,14 @@ impl<'a> ImprovementMesh<'a> {
 
     /// Replaces a group of tets; returns the slots of the new ones.
     pub fn replace(&mut self, old: &[u32], new: &[([u32; 4], Label)]) -> Vec<u32> {
+        self.log.begin();
+        old.iter().for_each(|t| self.log.remove(*t, self.tets[*t as usize], self.labels[*t as usize]));
+        let slots = self.exchange(old, new);
+        slots.iter().zip(new).for_each(|(slot, (tet, label))| self.log.add(*slot, *tet, *label));
+        slots
+    }
+
+    fn exchange(&mut self, old: &[u32], new: &[([u32; 4], Label)]) -> Vec<u32> {
         for &t in old {
             for v in std::mem::replace(&mut self.tets[t as usize], DEAD) {
                 let ball = &mut self.balls[v as usize];
@@ -317,6 +367,45 @@ impl<'a> ImprovementMesh<'a> {
             slots.push(slot);
         }
         slots
+    }
+
+    /// Takes the last replacement back.
+    pub fn take_back(&mut self) {
+        if let Some(change) = self.log.last() {
+            self.undo_one(change);
+        }
+    }
+
+    /// The replacement that made a tet; `None` for one of the first mesh.
+    pub fn change_of(&self, t: u32) -> Option<u32> {
+        self.log.change_of(t)
+    }
+
+    /// Takes a replacement back, and before it those that built on it. Returns vertices that have tets again.
+    pub fn undo(&mut self, change: u32) -> Vec<u32> {
+        let mut back = Vec::new();
+        let mut stack = vec![change];
+        while let Some(&change) = stack.last() {
+            match self.log.blocker(change) {
+                Some(blocker) => stack.push(blocker),
+                None => {
+                    back.extend(self.undo_one(change));
+                    stack.pop();
+                }
+            }
+        }
+        back
+    }
+
+    fn undo_one(&mut self, change: u32) -> Vec<u32> {
+        let (slots, rows) = (self.log.slots(change), self.log.taken(change));
+        let mut back: Vec<u32> =
+            rows.iter().flat_map(|(tet, _)| *tet).filter(|v| self.balls[*v as usize].is_empty()).collect();
+        let slots = self.exchange(&slots, &rows);
+        self.log.forget(change, &slots);
+        back.sort_unstable();
+        back.dedup();
+        back
     }
 
     /// Works on a vertex with its ball gathered into the mesh's own buffer.

@@ -10,6 +10,7 @@
 //!
 //! Last passes take what is still low once more, and let its surface vertices off their surface by a little more each time.
 //! Then edges much shorter than those around them are contracted ([`short_edges`](crate::lattice::short_edges)).
+//! Where tets stay below the least score, smoothing is taken back ([`local_undo`](crate::lattice::local_undo)).
 //!
 //! # Source
 //! [KlingnerShewchuk2007] for the schedule.
@@ -21,6 +22,8 @@
 //! # Limits
 //! The scaffold keeps parts of the surface apart across gaps of background; `surface_crossings` counts what crosses all the
 //! same, for a finding.
+
+use std::collections::BTreeSet;
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -35,6 +38,7 @@ use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_score::{Ball, Part, Threshold, tet_score};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::local_transformations::{TransformationCounts, loosen_scaffold, transform};
+use crate::lattice::local_undo::undo_around_low_tets;
 use crate::lattice::scaffold::STIFF_SCAFFOLD_ANGLE;
 use crate::lattice::short_edges::contract_short_edges;
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
@@ -82,6 +86,9 @@ const SLACK: f64 = 0.12;
 /// in a thousand stay off their surface; below the second score an angle is worse than half a voxel.
 const LAST_PASSES: [(f64, f64); 4] = [(WANTED, 0.2), (WANTED, 0.3), (12.5, 0.45), (12.5, 0.6)];
 
+/// Score that every tet must reach, degrees: dihedral angles of 12 to 160.
+const LEAST: f64 = 12.1;
+
 /// Largest offset of a label's surface, in smallest spacings.
 const LARGEST_OFFSET: f64 = 0.5;
 
@@ -114,6 +121,8 @@ pub struct ImprovementSummary {
     pub low_after: usize,
     /// Lowest score at the end, degrees.
     pub lowest: f64,
+    /// Vertices that went back towards the lattice.
+    pub undone: usize,
     /// Transformations made.
     pub counts: TransformationCounts,
     /// Pairs of outer faces that still cross.
@@ -129,6 +138,7 @@ pub fn improve(
     image: &LabelImage,
     surface: SubvoxelSurface,
     sources: &SourcePoints,
+    lattice: &[DVec3],
     options: &ImprovementOptions,
     context: &RunContext,
 ) -> Result<ImprovementSummary> {
@@ -166,6 +176,8 @@ pub fn improve(
     if options.transformations == Transformations::Local {
         summary.counts.short_edges = contract_short_edges(&mut work, wanted);
     }
+    summary.undone =
+        undo_low(&mut work, lattice, LEAST.max(options.min_dihedral_angle), slack, &mut summary.counts, context)?;
     for _ in 0..options.laplacian_iterations {
         context.check()?;
         (0..work.points.len() as u32).for_each(|v| {
@@ -208,6 +220,32 @@ fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunC
     candidates.sort_unstable();
     candidates.dedup();
     Ok(low_among(work, candidates.into_par_iter(), wanted))
+}
+
+/// Takes smoothing back around tets below the least score, and makes what is there as good as it gets.
+fn undo_low(
+    work: &mut ImprovementMesh,
+    lattice: &[DVec3],
+    least: f64,
+    slack: f64,
+    counts: &mut TransformationCounts,
+    context: &RunContext,
+) -> Result<usize> {
+    let numbers = |low: Vec<(f64, u32)>| -> Vec<u32> { low.into_iter().map(|(_, t)| t).collect() };
+    let low = numbers(low_tets(work, least));
+    let mend = |work: &mut ImprovementMesh, vertices: &BTreeSet<u32>| {
+        for surfaces in [Surfaces::Stay, Surfaces::MayYield] {
+            // Replacements that were taken back may have left low tets farther away.
+            let mut near = numbers(low_tets(work, least));
+            near.extend(vertices.iter().flat_map(|v| work.ball(*v)));
+            near.sort_unstable();
+            near.dedup();
+            let low = low_among(work, near.into_par_iter(), WANTED);
+            raise_low_tets(work, low, &Effort { wanted: WANTED, surfaces, slack }, Some(&mut *counts), context)?;
+        }
+        Ok(numbers(low_tets(work, least)))
+    };
+    undo_around_low_tets(work, lattice, low, mend)
 }
 
 /// Makes nearly flat tets of the scaffold better.

@@ -371,11 +371,11 @@ fn split_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, slack: f64) -> bool {
         new.push((tet.map(|v| if v == a { m } else { v }), *label));
         new.push((tet.map(|v| if v == b { m } else { v }), *label));
     }
-    let slots = mesh.replace(&shell, &new);
+    mesh.replace(&shell, &new);
     if optimize_vertex(mesh, m, ENOUGH, slack) > needed {
         return true;
     }
-    mesh.replace(&slots, &old);
+    mesh.take_back();
     mesh.remove_last_vertex();
     false
 }
@@ -429,7 +429,7 @@ fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool
             if shell.iter().any(|n| *n != t && mesh.labels[*n as usize] != other) {
                 return false;
             }
-            mesh.labels[t as usize] = other;
+            let [t] = mesh.replace(&[t], &[(tet, other)])[..] else { return false };
             let score = lowest_shape(mesh, &[t]);
             if remove_edge(mesh, a, b, score) {
                 return true;
@@ -439,7 +439,7 @@ fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool
             if part_of(other) == Part::Scaffold && score >= SCAFFOLD_ANGLE && is_used(a) && is_used(b) {
                 return true;
             }
-            mesh.labels[t as usize] = label;
+            mesh.take_back();
             false
         }
         _ => false,

@@ -7,7 +7,9 @@
 //! 4. Red-green refinement ([`red_green`]) where the distance changes sign ([`subdivision_criteria`]) until the
 //!    voxel count of every label reaches its fidelity ([`voxel_fidelity`]); the loop is [`adaptive_refinement`].
 //! 5. Labels by centroid, relabelled so that surfaces can move ([`element_labels`]).
-//! 6. World coordinates, surfaces, mid-edge nodes ([`finishing`]).
+//! 6. Smoothing ([`smoothing`]): the lattice is cut flat at the image border ([`border_clipping`]), surfaces are pulled to the
+//!    image boundary, elements improved; around what stays bad the smoothing is taken back ([`local_undo`]).
+//! 7. World coordinates, surfaces, mid-edge nodes ([`finishing`]).
 //!
 //! # Source
 //! [Drakopoulos2017] chapter 2; [Molino2003] for the lattice and its refinement.
@@ -17,8 +19,10 @@
 
 pub mod adaptive_refinement;
 pub mod bcc_lattice;
+pub mod border_clipping;
 pub mod boundary_targets;
 pub mod candidate_mesh;
+pub mod change_log;
 pub mod duplicated_interfaces;
 pub mod elastic_model;
 pub mod element_labels;
@@ -32,6 +36,7 @@ pub mod interface_carving;
 pub mod interface_topology;
 pub mod lattice_improvement;
 pub mod local_transformations;
+pub mod local_undo;
 pub mod mesh_regions;
 pub mod mixed_elements;
 #[cfg(test)]

@@ -1,10 +1,11 @@
 //! Smoothing of the candidate mesh: deformation, then quality improvement within the distance bound.
 //!
 //! # Method
-//! 1. Source and target points ([`boundary_targets`](crate::lattice::boundary_targets)).
-//! 2. Elastic deformation to the sub-voxel surfaces
+//! 1. The lattice is cut flat where the image ends ([`border_clipping`](crate::lattice::border_clipping)).
+//! 2. Source and target points ([`boundary_targets`](crate::lattice::boundary_targets)).
+//! 3. Elastic deformation to the sub-voxel surfaces
 //!    ([`surface_deformation`](crate::lattice::surface_deformation)).
-//! 3. Relaxation, volumes, optimisation, local transformations
+//! 4. Relaxation, volumes, optimisation, local transformations
 //!    ([`lattice_improvement`](crate::lattice::lattice_improvement)).
 //!
 //! # Source
@@ -23,6 +24,7 @@ use crate::context::RunContext;
 use crate::error::{Finding, FindingCode, Result, Severity};
 use crate::image::label_image::LabelImage;
 use crate::index::VertexId;
+use crate::lattice::border_clipping::clip_at_border;
 use crate::lattice::boundary_targets::{SourcePoints, TargetPoints};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::face_adjacency::neighbors_of;
@@ -54,6 +56,8 @@ pub fn smooth(
     context: &RunContext,
 ) -> Result<SmoothingPoints> {
     let surface = report.timed("target_surface", || SubvoxelSurface::new(image, context))?;
+    let planes = report.timed("border", || clip_at_border(mesh, &surface))?;
+    report.set("smoothing.border_planes", planes as f64);
     let rows: &[[u32; 4]] = bytemuck::cast_slice(&mesh.tets);
     let neighbors = neighbors_of(rows, mesh.points.len())?;
     let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &neighbors, &surface);
@@ -67,6 +71,8 @@ pub fn smooth(
             Vec::new()
         },
     };
+    let mut lattice = mesh.points.clone();
+    lattice.extend(&mesh.scaffold.points);
     let input = Deformation { image, surface: &surface, sources: &sources, targets: &targets, values, options };
     let summary = report.timed("deformation", || deform(mesh, &input, context))?;
     report.set("smoothing.source_points", sources.vertices.len() as f64);
@@ -81,10 +87,12 @@ pub fn smooth(
         laplacian_iterations: options.laplacian_iterations,
         min_dihedral_angle: options.min_dihedral_angle,
     };
-    let result = report.timed("improvement", || improve(mesh, image, surface, &sources, &improvement, context))?;
+    let result =
+        report.timed("improvement", || improve(mesh, image, surface, &sources, &lattice, &improvement, context))?;
     report.set("improvement.low_before", result.low_before as f64);
     report.set("improvement.low_after", result.low_after as f64);
     report.set("improvement.lowest_score", result.lowest);
+    report.set("improvement.undone", result.undone as f64);
     report.set("improvement.crossings", result.crossings as f64);
     if result.crossings > 0 {
         let text = format!("{} pairs of surface triangles cross: the mesh overlaps itself there", result.crossings);

@@ -59,7 +59,9 @@ pub fn plan_relaxation(mesh: &ImprovementMesh, v: u32, bound: &Threshold, ball: 
     let toward = mean_on_surface(mesh, v).map_or(DVec3::ZERO, |mean| along_surface(mesh, v, mean - place));
     let wanted = place + toward * RELAXATION;
     let goal = mesh.surface.project(wanted, mesh.sides(v), reach)?;
-    if goal.distance_squared(place) < 1e-6 * reach * reach {
+    // A border plane is met exactly, however near the vertex is.
+    let is_off_plane = goal != place && mesh.sides(v).iter().any(|s| matches!(s, Side::Border(_)));
+    if goal.distance_squared(place) < 1e-6 * reach * reach && !is_off_plane {
         return None;
     }
     // Most moves stay above the bound: only where one does not, the present score is asked for.

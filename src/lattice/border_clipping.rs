@@ -1,0 +1,396 @@
+//! Where the image cuts the tissue the lattice is cut flat, before surfaces are smoothed.
+//!
+//! # Method
+//! The lattice runs past the image border in a zigzag. For each border plane that the mesh reaches:
+//! 1. Vertices next to the plane, measured along the edges that cross it, are moved onto it.
+//! 2. Elements that still cross it are cut along it. Edges are cut where they meet the plane; a face that becomes a
+//!    quadrilateral is divided from that of its two inner vertices that is nearer to the plane, so neighbours agree.
+//! 3. What lies beyond is left out. Background elements whose centroid was beyond take the label of the voxels at what is
+//!    left of them.
+//! ```text
+//!     \/\/\/\/\/   elements past the border          ----------- cut; a vertex next to the plane has moved onto it
+//!     /\/\/\/\/\                          ->         /\/\/\/\/\
+//! ```
+//! Planes are taken one after the other, each moves vertices along its normal only: edges and corners of the image come
+//! out exactly.
+//!
+//! # Source
+//! [LabelleShewchuk2007] for the move onto the surface before the cut, which bounds the angles.
+//!
+//! # Invariants
+//! The mesh conforms; vertices on a border plane have its coordinate exactly.
+//!
+//! # Limits
+//! A plane beyond which a fixed point lies is left alone.
+
+use glam::DVec3;
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+
+use crate::error::Result;
+use crate::geometry::tetrahedron::volume6;
+use crate::index::{Label, VertexId};
+use crate::lattice::candidate_mesh::CandidateMesh;
+use crate::lattice::element_labels::relabel_for_smoothing;
+use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
+use crate::lattice::interface_topology::InterfaceTopology;
+use crate::lattice::scaffold::Scaffold;
+use crate::lattice::subvoxel_surface::SubvoxelSurface;
+use crate::mesh::numbering::TET_EDGES;
+
+/// A vertex whose distance to the plane is less than this part of an edge that crosses it moves onto the plane.
+const NEAR: f64 = 0.3;
+
+/// No vertex.
+const NONE: u32 = u32::MAX;
+
+/// Cuts a mesh and its scaffold at the border planes that it reaches; returns the number of planes.
+///
+/// # Errors
+/// Those of [`neighbors_of`].
+pub fn clip_at_border(mesh: &mut CandidateMesh, surface: &SubvoxelSurface) -> Result<usize> {
+    let planes: Vec<u8> = (0..6).filter(|plane| reaches(mesh, surface, *plane)).collect();
+    if planes.is_empty() {
+        return Ok(0);
+    }
+    let mut work = Clipping::new(mesh);
+    planes.iter().for_each(|plane| work.clip(surface, *plane));
+    work.label_changed(surface);
+    work.relabel()?;
+    work.finish(mesh);
+    Ok(planes.len())
+}
+
+/// Height of a point above a border plane, mm, outside of the image positive.
+fn height(point: DVec3, surface: &SubvoxelSurface, plane: u8) -> f64 {
+    let (axis, at) = surface.border(plane);
+    if plane.is_multiple_of(2) { at - point[axis] } else { point[axis] - at }
+}
+
+/// Whether elements of the mesh cross a plane, and no fixed point lies beyond.
+fn reaches(mesh: &CandidateMesh, surface: &SubvoxelSurface, plane: u8) -> bool {
+    let is_beyond = |v: &VertexId| height(mesh.points[v.index()], surface, plane) > 0.0;
+    mesh.tets.par_iter().with_min_len(4096).any(|tet| tet.iter().any(is_beyond)) && !mesh.fixed.iter().any(is_beyond)
+}
+
+/// The elements of a mesh and its scaffold under the knife.
+struct Clipping {
+    points: Vec<DVec3>,
+    tets: Vec<[u32; 4]>,
+    labels: Vec<Label>,
+    fixed: Vec<bool>,
+    /// Whether a vertex lay beyond a plane, was moved, or is new.
+    changed: Vec<bool>,
+    /// Whether an element may take another label.
+    relabels: Vec<bool>,
+}
+
+impl Clipping {
+    fn new(mesh: &mut CandidateMesh) -> Self {
+        let scaffold = std::mem::take(&mut mesh.scaffold);
+        let mut points = std::mem::take(&mut mesh.points);
+        points.extend(scaffold.points);
+        let tets: Vec<[u32; 4]> = mesh.tets.iter().chain(&scaffold.tets).map(|t| t.map(|v| v.0)).collect();
+        let mut labels = std::mem::take(&mut mesh.tet_labels);
+        labels.resize(tets.len(), Label::BACKGROUND);
+        mesh.tets = Vec::new();
+        let mut fixed = vec![false; points.len()];
+        mesh.fixed.iter().for_each(|v| fixed[v.index()] = true);
+        let (changed, relabels) = (vec![false; points.len()], vec![false; tets.len()]);
+        Self { points, tets, labels, fixed, changed, relabels }
+    }
+
+    fn clip(&mut self, surface: &SubvoxelSurface, plane: u8) {
+        let (axis, at) = surface.border(plane);
+        let mut heights: Vec<f64> = self.points.par_iter().map(|p| height(*p, surface, plane)).collect();
+        for v in self.near(&heights) {
+            self.points[v][axis] = at;
+            heights[v] = 0.0;
+            self.changed[v] = true;
+        }
+        let mut cuts: FxHashMap<(u32, u32), u32> = FxHashMap::default();
+        let old = std::mem::take(&mut self.tets);
+        let labels = std::mem::take(&mut self.labels);
+        let relabels = std::mem::take(&mut self.relabels);
+        for ((tet, label), relabel) in old.into_iter().zip(labels).zip(relabels) {
+            if tet.iter().all(|v| heights[*v as usize] <= 0.0) {
+                if tet.iter().any(|v| heights[*v as usize] < 0.0) {
+                    self.push(tet, label, relabel);
+                }
+                continue;
+            }
+            let cut = |work: &mut Self, inner: u32, outer: u32| {
+                *cuts.entry((inner, outer)).or_insert_with(|| {
+                    let [low, high] = [inner, outer].map(|v| heights[v as usize]);
+                    let mut point = work.points[inner as usize].lerp(work.points[outer as usize], low / (low - high));
+                    point[axis] = at;
+                    work.points.push(point);
+                    work.fixed.push(false);
+                    work.changed.push(true);
+                    work.points.len() as u32 - 1
+                })
+            };
+            for piece in pieces(self, tet, &heights, cut) {
+                self.push(piece, label, true);
+            }
+        }
+    }
+
+    fn push(&mut self, tet: [u32; 4], label: Label, relabel: bool) {
+        self.tets.push(tet);
+        self.labels.push(label);
+        self.relabels.push(relabel);
+    }
+
+    /// Vertices next to the plane.
+    fn near(&self, heights: &[f64]) -> Vec<usize> {
+        let near_of = |tet: &[u32; 4]| {
+            let crosses =
+                tet.iter().any(|v| heights[*v as usize] > 0.0) && tet.iter().any(|v| heights[*v as usize] < 0.0);
+            let tet = *tet;
+            TET_EDGES.into_iter().filter(move |_| crosses).filter_map(move |edge| {
+                let [a, b] = edge.map(|v| tet[v] as usize);
+                let [low, high] = [heights[a].abs(), heights[b].abs()];
+                let nearer = if low < high { a } else { b };
+                let is_near = heights[a] * heights[b] < 0.0 && low.min(high) < NEAR * (low + high);
+                (is_near && !self.fixed[nearer]).then_some(nearer)
+            })
+        };
+        let mut near: Vec<usize> = self.tets.par_iter().with_min_len(4096).flat_map_iter(near_of).collect();
+        near.par_sort_unstable();
+        near.dedup();
+        near
+    }
+
+    /// Background elements that reached a border take the label of their voxels.
+    fn label_changed(&mut self, surface: &SubvoxelSurface) {
+        for (t, tet) in self.tets.iter().enumerate() {
+            self.relabels[t] |= tet.iter().any(|v| self.changed[*v as usize]);
+            if self.relabels[t] && self.labels[t].is_background() {
+                let center = tet.iter().map(|v| self.points[*v as usize]).sum::<DVec3>() / 4.0;
+                self.labels[t] = surface.nearest_label(center);
+            }
+        }
+    }
+
+    /// The elements at the border get labels that surfaces can be smoothed with.
+    fn relabel(&mut self) -> Result<()> {
+        let neighbors = neighbors_of(&self.tets, self.points.len())?;
+        // The plane is no surface that moves: an element counts as its own neighbour there.
+        let mut continued = neighbors.clone();
+        for (t, row) in continued.iter_mut().enumerate() {
+            if self.relabels[t] {
+                row.iter_mut().filter(|n| **n == OUTSIDE).for_each(|n| *n = t as u32);
+            }
+        }
+        let relabels = &self.relabels;
+        relabel_for_smoothing(&mut self.labels, &continued, |e| !relabels[e]);
+        let topology = InterfaceTopology::new(&self.tets, &neighbors, self.points.len());
+        topology.repair(&mut self.labels, |e| !relabels[e as usize]);
+        // What still pinches needs a change farther inside, or of all its elements at once.
+        topology.repair(&mut self.labels, |_| false);
+        unite_at_pinches(&topology, &mut self.labels, relabels);
+        Ok(())
+    }
+
+    fn finish(self, mesh: &mut CandidateMesh) {
+        let mut renumbered = vec![NONE; self.points.len()];
+        for (tet, _) in self.tets.iter().zip(&self.labels).filter(|(_, label)| !label.is_background()) {
+            tet.iter().for_each(|v| renumbered[*v as usize] = 0);
+        }
+        for (v, number) in renumbered.iter_mut().enumerate().filter(|(_, number)| **number == 0) {
+            *number = mesh.points.len() as u32;
+            mesh.points.push(self.points[v]);
+        }
+        let number = |v: u32| VertexId(renumbered[v as usize]);
+        for (tet, label) in self.tets.iter().zip(&self.labels).filter(|(_, label)| !label.is_background()) {
+            mesh.tets.push(tet.map(number));
+            mesh.tet_labels.push(*label);
+        }
+        mesh.fixed.iter_mut().for_each(|v| *v = number(v.0));
+        // A cube that reached a border has lost tets or its shape.
+        mesh.cubes.retain(|cube| {
+            let vertices = [&[cube.center], &cube.corners[..], &cube.apexes[..]].concat();
+            vertices.iter().all(|v| !self.changed[v.index()] && renumbered[v.index()] != NONE)
+        });
+        for cube in &mut mesh.cubes {
+            cube.center = number(cube.center.0);
+            cube.corners = cube.corners.map(|v| number(v.0));
+            cube.apexes = cube.apexes.map(|v| number(v.0));
+        }
+        let count = mesh.points.len();
+        mesh.scaffold = Scaffold::around(&self.tets, &self.labels, &mut renumbered, count, |v| self.points[v as usize]);
+    }
+}
+
+/// Gives all elements around a pinched vertex that may change one label, where that leaves fewer pinches.
+fn unite_at_pinches(topology: &InterfaceTopology, labels: &mut Vec<Label>, may_change: &[bool]) {
+    let mut pinched = topology.pinched(labels);
+    for vertex in pinched.clone() {
+        let ball = topology.elements_around(&[vertex]);
+        let mut around: Vec<Label> = ball.iter().map(|e| labels[*e as usize]).collect();
+        around.sort_unstable();
+        around.dedup();
+        for label in around {
+            let mut tried = labels.clone();
+            ball.iter().filter(|e| may_change[**e as usize]).for_each(|e| tried[*e as usize] = label);
+            topology.repair(&mut tried, |e| !may_change[e as usize]);
+            let left = topology.pinched(&tried);
+            if left.len() < pinched.len() {
+                (*labels, pinched) = (tried, left);
+                break;
+            }
+        }
+    }
+}
+
+/// What is left of a tet below the plane; it has a vertex above.
+fn pieces(
+    work: &mut Clipping,
+    tet: [u32; 4],
+    heights: &[f64],
+    mut cut: impl FnMut(&mut Clipping, u32, u32) -> u32,
+) -> Vec<[u32; 4]> {
+    let at = |v: u32| heights[v as usize];
+    let mut inside: Vec<u32> = tet.into_iter().filter(|v| at(*v) < 0.0).collect();
+    let on: Vec<u32> = tet.into_iter().filter(|v| at(*v) == 0.0).collect();
+    let outside: Vec<u32> = tet.into_iter().filter(|v| at(*v) > 0.0).collect();
+    // Nearest to the plane first: quadrilaterals are divided from there.
+    inside.sort_unstable_by(|l, r| at(*r).total_cmp(&at(*l)).then(l.cmp(r)));
+    let mut found = match (inside.as_slice(), on.as_slice(), outside.as_slice()) {
+        (&[a], ..) => {
+            vec![tet.map(|v| if at(v) > 0.0 { cut(work, a, v) } else { v })]
+        }
+        (&[a, b], &[z], &[c]) => {
+            let [ac, bc] = [cut(work, a, c), cut(work, b, c)];
+            vec![[a, b, bc, z], [a, bc, ac, z]]
+        }
+        (&[a, b], _, &[c, d]) => {
+            let [ac, ad, bc, bd] = [cut(work, a, c), cut(work, a, d), cut(work, b, c), cut(work, b, d)];
+            let length = |p: u32, q: u32| work.points[p as usize].distance_squared(work.points[q as usize]);
+            let mut found = vec![[a, b, bc, bd]];
+            if length(ac, bd) < length(ad, bc) {
+                found.extend([[a, ac, ad, bd], [a, ac, bc, bd]]);
+            } else {
+                found.extend([[a, ac, ad, bc], [a, ad, bc, bd]]);
+            }
+            found
+        }
+        (&[a, b, c], _, &[d]) => {
+            let [ad, bd, cd] = [cut(work, a, d), cut(work, b, d), cut(work, c, d)];
+            vec![[a, b, c, cd], [a, b, bd, cd], [a, ad, bd, cd]]
+        }
+        _ => Vec::new(),
+    };
+    for piece in &mut found {
+        if volume6(piece.map(|v| work.points[v as usize])) < 0.0 {
+            piece.swap(2, 3);
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::context::RunContext;
+    use crate::image::grid::Grid;
+    use crate::image::label_image::LabelImage;
+    use crate::lattice;
+    use crate::lattice::element_score::tet_score;
+    use crate::lattice::options::{Options, PARAMETERS};
+    use crate::mesh::quality::mesh_quality;
+    use crate::mesh::validation::check_mixed_mesh;
+    use crate::parameters::ParameterSet;
+    use glam::DMat3;
+
+    /// Two labels that fill the image but for a ball at one of its edges.
+    fn filled() -> LabelImage {
+        let n = [15, 13, 12];
+        let grid = Grid::new(n, DVec3::new(1.0, 1.1, 0.9), DVec3::ZERO, DMat3::IDENTITY).unwrap();
+        let label = |v: usize| {
+            let p = DVec3::new((v % n[0]) as f64, (v / n[0] % n[1]) as f64, (v / n[0] / n[1]) as f64);
+            if p.distance(DVec3::new(0.0, 0.0, 6.0)) < 3.6 {
+                Label(0)
+            } else {
+                Label(1 + u16::from(p.x + 0.4 * p.y > 9.0))
+            }
+        };
+        LabelImage::new(grid, (0..n.iter().product()).map(label).collect(), vec![0, 1, 2]).unwrap()
+    }
+
+    #[test]
+    fn tissue_that_fills_the_image_becomes_a_box_with_good_angles() {
+        let mut set = ParameterSet::new(PARAMETERS);
+        set.set_text("lattice-spacing", "4").unwrap();
+        let options = Options::from_parameters(&set).unwrap();
+        let image = filled();
+        let (output, report) = lattice::run(&image, &options, &RunContext::with_threads(2).unwrap()).unwrap();
+        check_mixed_mesh(&output.mesh).unwrap();
+        assert_eq!(report.statistics().value("improvement.crossings"), Some(0.0));
+        let quality = mesh_quality(&output.mesh, &RunContext::with_threads(1).unwrap()).statistics();
+        assert!(quality.value("quality.min_dihedral").unwrap() > 12.0, "{quality:?}");
+        assert!(quality.value("quality.max_dihedral").unwrap() < 160.0, "{quality:?}");
+        let high = DVec3::new(14.5, 12.5 * 1.1, 11.5 * 0.9);
+        let low = DVec3::new(-0.5, -0.55, -0.45);
+        let points = &output.mesh.points;
+        assert!(points.iter().all(|p| p.cmpge(low - 0.01).all() && p.cmple(high + 0.01).all()));
+        for corner in [high, DVec3::new(high.x, low.y, high.z)] {
+            assert!(points.iter().any(|p| p.distance(corner) < 0.3), "{corner}");
+        }
+    }
+
+    #[test]
+    fn what_is_left_of_a_tet_fills_the_part_below_the_plane() {
+        // All ways in which the plane x = -0.5 can meet a tet; the volumes below are integrals of the slices.
+        let image = filled();
+        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
+        for heights in [[1.0, -1.0, -1.0, -1.0], [1.0, 1.0, -1.0, -1.0], [1.0, 1.0, 1.0, -1.0], [1.0, 0.0, -1.0, -1.0]]
+        {
+            let place = |i: usize, y: f64, z: f64| DVec3::new(-0.5 - heights[i], y, z);
+            let mut points = vec![place(0, 4.0, 4.0), place(1, 7.0, 4.0), place(2, 4.0, 8.0), place(3, 5.0, 5.0)];
+            if volume6([points[0], points[1], points[2], points[3]]) < 0.0 {
+                points.swap(0, 1);
+            }
+            let whole = volume6([points[0], points[1], points[2], points[3]]);
+            let mut mesh = CandidateMesh {
+                points,
+                tets: vec![[0, 1, 2, 3].map(VertexId)],
+                tet_labels: vec![Label(1)],
+                ..CandidateMesh::default()
+            };
+            assert_eq!(clip_at_border(&mut mesh, &surface).unwrap(), 1);
+            let volume = |t: &[VertexId; 4]| volume6(t.map(|v| mesh.points[v.index()]));
+            assert!(mesh.tets.iter().all(|t| volume(t) > 0.0));
+            // Heights are linear: the part cut off at a vertex is the product of the parts of its edges.
+            let part = match heights.iter().filter(|h| **h > 0.0).count() {
+                1 if heights[1] == 0.0 => 0.75,
+                1 => 0.875,
+                2 => 0.5,
+                _ => 0.125,
+            };
+            assert!((mesh.tets.iter().map(volume).sum::<f64>() - part * whole).abs() < 1e-12, "{heights:?}");
+        }
+    }
+
+    #[test]
+    fn a_vertex_next_to_the_plane_moves_onto_it() {
+        let image = filled();
+        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
+        let points = vec![
+            DVec3::new(-0.6, 4.0, 4.0),
+            DVec3::new(2.0, 4.0, 3.0),
+            DVec3::new(2.0, 6.0, 4.0),
+            DVec3::new(2.0, 4.0, 6.0),
+        ];
+        let mut mesh = CandidateMesh {
+            points,
+            tets: vec![[0, 1, 2, 3].map(VertexId)],
+            tet_labels: vec![Label(1)],
+            ..CandidateMesh::default()
+        };
+        clip_at_border(&mut mesh, &surface).unwrap();
+        assert_eq!((mesh.points[0].x, mesh.tets.len()), (-0.5, 1));
+        assert!(tet_score([0, 1, 2, 3].map(|v: usize| mesh.points[v])) > 10.0);
+    }
+}
