@@ -9,12 +9,19 @@
 //!       \      /                \  s'  /           new point s' that sees its whole boundary, inside the volume.
 //!         link                    link
 //! ```
-//! Where neither works, the ball is thinned by removing edges at s, and both are tried again. Such a point exists close
-//! to s in every sector of less than a full turn: s sees the link strictly, and the half
-//! spaces of the whole faces share directions.
+//! Where neither works, s is moved along what it splits, the ball is thinned by removing edges at s, then the link of flat
+//! sectors by removing edges of it, and all is tried again. Such a point exists close to s in every sector of less than
+//! a full turn: s sees the link strictly, and the half spaces of the whole faces share directions.
+//!
+//! In floating point s lies beside its edge by rounding. In a plane of long thin facets an edge of the mesh may then pass
+//! between s and the edge: the sector is flat there, and no number lies between its faces. Tets beyond join such a
+//! sector until a place above the whole faces sees all of the border (`grown_sector`).
 //!
 //! # Source
 //! [Drakopoulos2017] 4.6.2, [GeorgeBorouchaki2003]; filling a sector without a point first: ours.
+//!
+//! # Cost
+//! Every split is tried a fixed number of times per effort, and passes go on only while they undo one: it always ends.
 //!
 //! # Limits
 //! The free border of a sheet has a full turn around it: a Steiner point there goes only where the ball can be filled.
@@ -25,6 +32,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use super::Effort;
 use super::cavity_filling::fill_cavity;
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey, Split, edge_key, face_key};
+use super::edge_removal::{Journal, remove_edge};
 use super::steiner_removal::thin_ball;
 use crate::context::RunContext;
 use crate::error::Result;
@@ -41,6 +49,12 @@ const GROWTH_PLACES: i32 = 50;
 
 /// Most tets that join a sector.
 const MOST_GROWN: usize = 60;
+
+/// Shares of the way to a corner of a whole face at which places above it are tried.
+const ASIDE: [f64; 5] = [0.1, 0.3, 0.5, 0.7, 0.9];
+
+/// Most tets of a sector whose link is loosened.
+const MOST_FLAT: usize = 6;
 
 /// Places tried on a split segment.
 const SLIDE_PLACES: usize = 50;
@@ -70,7 +84,7 @@ pub fn eliminate_partitions(
             }
             thin_ball(mesh, steiner, effort)?;
             slide(mesh, steiner, &split);
-            if !undo(mesh, steiner, &split, volume)? {
+            if !undo(mesh, steiner, &split, volume)? && !undo_after_loosening(mesh, steiner, &split, effort, volume)? {
                 kept.push((steiner, split));
             }
         }
@@ -80,6 +94,39 @@ pub fn eliminate_partitions(
             return Ok(mesh.splits.len());
         }
     }
+}
+
+/// Removes edges of the link of sectors that are too flat, one after the other, until the split can be undone. Rounding
+/// may put the Steiner point on the other side of an edge of the mesh that crosses the facets' plane next to it: that
+/// edge stands in the way of the whole facets.
+fn undo_after_loosening(
+    mesh: &mut ConstrainedMesh,
+    steiner: VertexId,
+    split: &Split,
+    effort: &Effort,
+    volume: &mut Vec<VertexId>,
+) -> Result<bool> {
+    let whole: FxHashMap<FaceKey, [VertexId; 3]> =
+        parts_of(steiner, split).iter().map(|&(key, face, _)| (key, face)).collect();
+    let ball = mesh.ball(steiner);
+    let Some(sectors) = sectors_of(mesh, steiner, &ball, &whole) else { return Ok(false) };
+    let mut tries = effort.tries;
+    for sector in sectors.iter().filter(|sector| sector.tets.len() <= MOST_FLAT) {
+        let edges: FxHashSet<EdgeKey> = sector
+            .link
+            .iter()
+            .flat_map(|(_, [a, b, c])| [edge_key(*a, *b), edge_key(*b, *c), edge_key(*a, *c)])
+            .collect();
+        let mut edges: Vec<EdgeKey> = edges.into_iter().filter(|e| !mesh.is_segment(e[0], e[1])).collect();
+        edges.sort_unstable();
+        for edge in edges {
+            let removed = remove_edge(mesh, edge, effort.reach(None), &mut tries, &mut Journal::default())?;
+            if removed && undo(mesh, steiner, split, volume)? {
+                return Ok(true);
+            }
+        }
+    }
+    Ok(false)
 }
 
 /// The subfaces a split made, each with the whole face it is part of and the facet.
@@ -169,19 +216,28 @@ fn grown_sector(
     let direction = sector.inward.normalize_or_zero();
     let corners = sector.front.iter().flatten().map(|&v| mesh.at(v));
     let size = corners.map(|p| p.distance(start)).fold(0.0, f64::max);
-    // Far steps first: a place far from the surface leaves better tets.
-    (1..GROWTH_PLACES).find_map(|i| {
-        let place = start + direction * (size * 0.5_f64.powi(i));
-        let (tets, front) = grow_to(mesh, place, sector, old)?;
-        // Points of the volume may go with their balls, others not.
-        let kept: FxHashSet<VertexId> = front.iter().flatten().copied().collect();
-        let corners = tets.iter().flat_map(|&tet| mesh.complex.vertices(tet));
-        if corners.into_iter().any(|v| v != steiner && !kept.contains(&v) && !volume.contains(&v)) {
-            return None;
+    // Far steps first: a place far from the surface leaves better tets. Another facet may hide what lies around the
+    // Steiner point from all places above it; places above the rest of the whole faces come then.
+    let corners: FxHashSet<VertexId> = sector.closing.iter().flatten().copied().collect();
+    let mut corners: Vec<VertexId> = corners.into_iter().collect();
+    corners.sort_unstable();
+    let aside = corners.iter().flat_map(|&v| ASIDE.map(|share| (mesh.at(v) - start) * share));
+    let feet = std::iter::once(DVec3::ZERO).chain(aside);
+    for foot in feet {
+        for i in 1..GROWTH_PLACES {
+            let place = start + foot + direction * (size * 0.5_f64.powi(i));
+            let Some((tets, front)) = grow_to(mesh, place, sector, old) else { continue };
+            // Points of the volume may go with their balls, others not.
+            let kept: FxHashSet<VertexId> = front.iter().flatten().copied().collect();
+            let mut corners = tets.iter().flat_map(|&tet| mesh.complex.vertices(tet));
+            if corners.any(|v| v != steiner && !kept.contains(&v) && !volume.contains(&v)) {
+                continue;
+            }
+            old.extend(tets);
+            return Some((place, front));
         }
-        old.extend(tets);
-        Some((place, front))
-    })
+    }
+    None
 }
 
 /// The tets that join a sector so that the place sees its whole border, and that border.
