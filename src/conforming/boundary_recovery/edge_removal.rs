@@ -282,8 +282,7 @@ impl Removal<'_> {
         let mut is_first = true;
         // The outer ring gets shorter only where its tets at the spoke become one: the far end is an ear of this ring.
         let ear = self.open.last().and_then(|outer| outer.iter().copied().find(|v| !edge.contains(v)));
-        loop {
-            let Some((old, ring)) = ring_from(mesh, start, self.reach.ring) else { break };
+        while let Some((old, ring)) = ring_from(mesh, start, self.reach.ring) {
             let taken: Vec<bool> = old.iter().map(|&tet| self.is_taken(mesh, tet)).collect();
             // The shells of nested removals share no tets but the two at the spoke: that ends the recursion early,
             // where it would only turn in a circle.
