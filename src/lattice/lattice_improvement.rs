@@ -35,7 +35,7 @@ use crate::geometry::tetrahedron::volume6;
 use crate::image::label_image::LabelImage;
 use crate::lattice::boundary_targets::SourcePoints;
 use crate::lattice::candidate_mesh::CandidateMesh;
-use crate::lattice::element_score::{Ball, Part, Threshold, tet_score};
+use crate::lattice::element_score::{Ball, Part, Threshold, tet_fails};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::local_transformations::{TransformationCounts, loosen_scaffold, transform};
 use crate::lattice::local_undo::undo_around_low_tets;
@@ -250,9 +250,8 @@ fn undo_low(
 
 /// Makes nearly flat tets of the scaffold better.
 fn loosen_all(work: &mut ImprovementMesh) {
-    let is_stiff = |t: &u32| {
-        work.is_live(*t) && work.part(*t) == Part::Scaffold && tet_score(work.corners(*t)) < STIFF_SCAFFOLD_ANGLE
-    };
+    let limit = Threshold::of(STIFF_SCAFFOLD_ANGLE);
+    let is_stiff = |t: &u32| work.is_live(*t) && work.part(*t) == Part::Scaffold && tet_fails(work.corners(*t), &limit);
     let stiff: Vec<u32> = (0..work.tets.len() as u32).into_par_iter().with_min_len(4096).filter(is_stiff).collect();
     for t in stiff {
         if work.is_live(t) && work.part(t) == Part::Scaffold {

@@ -34,6 +34,8 @@ const PLAIN: &[(&str, &str)] = &[("output-target-points", "t.vtk"), ("output-sou
 /// For options that act only with another one.
 const CHECKED: &[(&str, &str)] = &[("check-image-topology", "1")];
 const HALF_SMOOTH: &[(&str, &str)] = &[("min-dihedral-angle", "29"), ("local-transformations", "0")];
+const COARSE: &[(&str, &str)] =
+    &[("check-image-topology", "1"), ("lattice-spacing", "5"), ("fidelity", "0.5"), ("surface-tolerance", "100")];
 const FINE: &[(&str, &str)] = &[("lattice-spacing", "1"), ("surface-tolerance", "100")];
 const MIXED: &[(&str, &str)] = &[("mixed-elements", "1"), ("lattice-spacing", "1"), ("surface-tolerance", "100")];
 
@@ -53,7 +55,7 @@ const EFFECTS: &[(&str, &str, &[(&str, &str)])] = &[
     ("surface-tolerance", "100", &[("fidelity", "0.5"), ("lattice-spacing", "8")]),
     ("fixed-point", "9,9,9.2", PLAIN),
     ("target-vertices", "300", PLAIN),
-    ("check-mesh-topology", "1", CHECKED),
+    ("check-mesh-topology", "1", COARSE),
     ("duplicate-interface", "1,2", PLAIN),
     ("mixed-elements", "1", FINE),
     ("max-surface-triangles-on-pyramid", "4", MIXED),

@@ -41,6 +41,7 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
+use crate::lattice::bcc_lattice::floor_of;
 
 /// Projected gradient steps. Measured on balls and tori of 1 to 3 mm anisotropy: 30, 60, 100 steps leave mean errors of 0.12,
 /// 0.10, 0.09 voxel on an oblique torus of 0.8 x 0.9 x 2 mm, and of 0.05, 0.036, 0.029 on a ball of 0.7 x 0.7 x 1.6 mm.
@@ -134,7 +135,7 @@ impl SmoothDistances {
 
 impl LabelDistance {
     fn sample(&self, place: DVec3, size: [usize; 3], spacing: DVec3) -> Option<(f64, DVec3)> {
-        let nearest = place.round();
+        let nearest = floor_of(place + 0.5).as_dvec3();
         let mut voxel = [[0usize; 3]; 3];
         let mut value = [[0.0f64; 3]; 3];
         let mut slope = [[0.0f64; 3]; 3];

@@ -23,6 +23,7 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::image::connected_components::Components;
 use crate::index::Label;
+use crate::lattice::bcc_lattice::floor_of;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::mesh::numbering::TET_FACES;
 
@@ -115,8 +116,8 @@ pub fn for_each_foreign_voxel(
 pub fn for_each_row(corners: &[DVec3; 4], size: IVec3, mut visit: impl FnMut(i32, i32, i32, i32)) {
     let low = corners.iter().fold(DVec3::INFINITY, |a, b| a.min(*b));
     let high = corners.iter().fold(DVec3::NEG_INFINITY, |a, b| a.max(*b));
-    let low = low.ceil().max(DVec3::ZERO).as_ivec3();
-    let high = high.floor().min((size - 1).as_dvec3()).as_ivec3();
+    let low = (-floor_of(-low)).max(IVec3::ZERO);
+    let high = floor_of(high).min(size - 1);
     if low.cmpgt(high).any() {
         return;
     }
