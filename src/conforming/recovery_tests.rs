@@ -1,8 +1,8 @@
 //! Boundary recovery on shapes that have no tetrahedralization of their own, or hardly one.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3, EulerRot};
 
-use super::test_surfaces::{cube, joined, mapped, strips, twisted_prism};
+use super::test_surfaces::{chazelle, cube, joined, mapped, strips, twisted_prism};
 use super::*;
 use crate::error::Error;
 use crate::mesh::validation::check_mixed_mesh;
@@ -49,6 +49,46 @@ fn strips_of_1_to_3600_need_few_points() {
     for scale in [1e-6, 1.0, 1e6] {
         let added = recovered(&mapped(&strips(10, 3600.0), |p| p * scale));
         assert!(added <= 5, "TetGen 1.5 leaves 5 points, not {added}");
+    }
+}
+
+/// Out of the axes: points of one plane lie on it by rounding only.
+fn turned(point: DVec3) -> DVec3 {
+    DQuat::from_euler(EulerRot::XYZ, 0.3, 0.7, 1.1) * point
+}
+
+#[test]
+fn turned_plates_of_strips_are_recovered() {
+    for (slenderness, height) in [(3600.0, 1.0), (20_000.0, 1.0), (20_000.0, 0.05), (3600.0, 3e-3), (100.0, 3e-6)] {
+        let flat = DVec3::new(1.0, 1.0, height);
+        let added = recovered(&mapped(&strips(20, slenderness), |p| turned(p * flat)));
+        assert!(added <= 10, "1:{slenderness}, {height}: {added}");
+    }
+    for (scale, offset) in [(1e-6, 0.0), (1e6, 0.0), (1.0, 1e6)] {
+        let added = recovered(&mapped(&strips(20, 500.0), |p| turned(p) * scale + DVec3::splat(offset)));
+        assert!(added <= 10, "{scale} {offset}: {added}");
+    }
+}
+
+#[test]
+fn chazelles_polyhedron_is_recovered() {
+    for (count, gap) in [(2, 0.1), (4, 0.1), (4, 0.01)] {
+        let surface = chazelle(count, gap);
+        let added = recovered(&surface);
+        assert!(added <= 4 * (count * count) as usize, "{count} notches, gap {gap}: {added}");
+        let added = recovered(&mapped(&surface, turned));
+        assert!(added <= 4 * (count * count) as usize, "{count} notches, gap {gap}, turned: {added}");
+    }
+}
+
+#[test]
+fn plates_that_almost_touch_are_recovered() {
+    let plate = |n: usize, from: f64| mapped(&cube(n), |p| DVec3::new(p.x, p.y, from + 0.1 * p.z));
+    let pair = joined(&[plate(4, 0.0), plate(5, 0.1 + 1e-6)]);
+    let thin = mapped(&cube(5), |p| DVec3::new(p.x, p.y, 1e-6 * p.z));
+    for surface in [&pair, &thin] {
+        let added = recovered(surface) + recovered(&mapped(surface, turned));
+        assert!(added <= 4, "{added}");
     }
 }
 

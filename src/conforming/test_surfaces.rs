@@ -139,3 +139,62 @@ pub fn strips(count: u32, slenderness: f64) -> SurfaceMesh {
     }
     surface_of(&points, &facets)
 }
+
+/// Chazelle's polyhedron: a box with `count` notches from above, whose bottoms lie on z = x y, and as many from below and
+/// across, which end `gap` under that saddle.
+pub fn chazelle(count: u32, gap: f64) -> SurfaceMesh {
+    let above = notched_half(count, |x, y| x * y);
+    let below = notched_half(count, |x, y| gap - x * y).into_iter().map(|f| f.map(|[x, y, z]| [y, x, -z]));
+    let (mut points, mut facets): (Vec<[f64; 3]>, Vec<[u32; 3]>) = (Vec::new(), Vec::new());
+    for triangle in above.into_iter().chain(below) {
+        facets.push(triangle.map(|p| {
+            let known = points.iter().position(|q| *q == p);
+            known.unwrap_or_else(|| {
+                points.push(p);
+                points.len() - 1
+            }) as u32
+        }));
+    }
+    surface_of(&points, &facets)
+}
+
+/// Top and two sides of a box with notches along y, whose bottoms are at `depth(x, y)`.
+fn notched_half(count: u32, depth: impl Fn(f64, f64) -> f64) -> Vec<[[f64; 3]; 3]> {
+    const HALF_WIDTH: f64 = 0.05;
+    let end = f64::from(count + 1);
+    let height = end * end + 1.0;
+    let (left, right) = (|i: f64| i - HALF_WIDTH, |i: f64| i + HALF_WIDTH);
+    let places: Vec<f64> = (1..=count).map(f64::from).collect();
+    let mut triangles = Vec::new();
+    let starts = std::iter::once(0.0).chain(places.iter().map(|&i| right(i)));
+    let ends = places.iter().map(|&i| left(i)).chain([end]);
+    for (from, to) in starts.zip(ends) {
+        let [a, b, c, d] = [[from, 0.0, height], [to, 0.0, height], [to, end, height], [from, end, height]];
+        triangles.extend([[a, b, c], [a, c, d]]);
+    }
+    for &i in &places {
+        let [t, u] = [0.0, end].map(|y| [i, y, depth(i, y)]);
+        let [a, b] = [0.0, end].map(|y| [left(i), y, height]);
+        let [c, d] = [0.0, end].map(|y| [right(i), y, height]);
+        triangles.extend([[a, t, u], [a, u, b], [c, u, t], [c, d, u]]);
+    }
+    for y in [0.0, end] {
+        let tip = |i: f64| [i, y, depth(i, y)];
+        let at = |x: f64, z: f64| [x, y, z];
+        let (corner, other, last) = (at(0.0, -height), at(end, -height), at(end, height));
+        let mut side = vec![
+            [corner, at(left(1.0), height), at(0.0, height)],
+            [corner, tip(1.0), at(left(1.0), height)],
+            [corner, other, tip(end - 1.0)],
+            [tip(end - 1.0), other, last],
+            [tip(end - 1.0), last, at(right(end - 1.0), height)],
+        ];
+        for pair in places.windows(2) {
+            let [i, j] = [pair[0], pair[1]];
+            let [m, n] = [at(right(i), height), at(left(j), height)];
+            side.extend([[corner, tip(j), tip(i)], [tip(i), tip(j), n], [tip(i), n, m]]);
+        }
+        triangles.extend(side.into_iter().map(|[a, b, c]| if y > 0.0 { [a, c, b] } else { [a, b, c] }));
+    }
+    triangles
+}

@@ -177,7 +177,9 @@ fn clear_crossing(
     for attempt in attempts_at(mesh, crossing, ends) {
         let changed = match attempt {
             Attempt::Flip(plan) => journal.commit(mesh, &plan)?,
-            Attempt::Remove(edge) => remove_edge(mesh, edge, effort.reach(Some(ends)), tries, &mut journal)?,
+            Attempt::Remove(edge, hint) => {
+                remove_edge(mesh, (edge, hint), effort.reach(Some(ends)), tries, &mut journal)?
+            }
         };
         if changed {
             return Ok(true);
@@ -202,7 +204,9 @@ fn shorten(
         for attempt in attempts_at(mesh, crossing, [a, b]) {
             let changed = match attempt {
                 Attempt::Flip(plan) => journal.commit(mesh, &plan)?,
-                Attempt::Remove(edge) => remove_edge(mesh, edge, effort.reach(Some([a, b])), tries, &mut journal)?,
+                Attempt::Remove(edge, hint) => {
+                    remove_edge(mesh, (edge, hint), effort.reach(Some([a, b])), tries, &mut journal)?
+                }
             };
             if !changed {
                 if journal.mark() > 0 {
@@ -228,13 +232,13 @@ fn shorten(
 /// One way to get rid of a crossing.
 enum Attempt {
     Flip(Plan),
-    Remove(EdgeKey),
+    Remove(EdgeKey, TetId),
 }
 
 /// The 2-3 flip of a crossed face, or the removal of the edges that stand in its way; the removal of a crossed edge.
 fn attempts_at(mesh: &ConstrainedMesh, crossing: Crossing, aim: [VertexId; 2]) -> Vec<Attempt> {
     let side = match crossing {
-        Crossing::Edge(_, [u, v]) => return vec![Attempt::Remove(edge_key(u, v))],
+        Crossing::Edge(tet, [u, v]) => return vec![Attempt::Remove(edge_key(u, v), tet)],
         Crossing::Vertex(_) => return Vec::new(),
         Crossing::Face(side) => side,
     };
@@ -250,7 +254,7 @@ fn attempts_at(mesh: &ConstrainedMesh, crossing: Crossing, aim: [VertexId; 2]) -
     }
     let [x, y, z] = TET_FACES[side.face()].map(|i| v[i]);
     let edges = [[x, y], [y, z], [z, x]].into_iter().filter(|&[s, t]| any || mesh.orient([p, q, s, t]) <= 0.0);
-    attempts.extend(edges.map(|[s, t]| Attempt::Remove(edge_key(s, t))));
+    attempts.extend(edges.map(|[s, t]| Attempt::Remove(edge_key(s, t), side.tet())));
     attempts
 }
 

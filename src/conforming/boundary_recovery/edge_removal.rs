@@ -243,13 +243,14 @@ pub struct Reach {
 
 /// Removes the edge u v with backtracking: by the n-m flip, else its ring is shortened, by 2-3 flips and then by the
 /// removal of edges from its ends to the ring, up to `depth` levels of them. `tries` bounds the edges looked at. Where
-/// that fails, the mesh is as it was; with an aim, rings may be shorter.
+/// that fails, the mesh is as it was; with an aim, rings may be shorter. `hint`, a tet that may have the edge or `NONE`,
+/// saves the search in a ball, which is large at the corners around everything.
 ///
 /// # Errors
 /// As [`TetStore::create_tet`].
 pub fn remove_edge(
     mesh: &mut ConstrainedMesh,
-    edge: [VertexId; 2],
+    (edge, hint): ([VertexId; 2], TetId),
     reach: Reach,
     tries: &mut usize,
     journal: &mut Journal,
@@ -258,10 +259,21 @@ pub fn remove_edge(
     if mesh.is_segment(edge[0], edge[1]) {
         return Ok(false);
     }
-    match find_edge(&mesh.complex, edge[0], edge[1], &mut Vec::new()) {
+    match shell_start(mesh, edge, &[hint]) {
         Some(start) => removal.remove_at(mesh, start),
         None => Ok(true),
     }
+}
+
+/// A shell tet of the edge: one of `hints`, of which some may be gone, or what a search finds; `None` without the edge.
+fn shell_start(mesh: &ConstrainedMesh, [u, v]: [VertexId; 2], hints: &[TetId]) -> Option<ShellTet> {
+    let at = |tet: TetId| {
+        let place = |w| mesh.complex.local_vertex(tet, w);
+        place(u).zip(place(v)).map(|(a, b)| ShellTet::new(tet, a, b))
+    };
+    let live = |tet: &&TetId| **tet != TetId::NONE && mesh.complex.is_live(**tet);
+    let hinted = hints.iter().filter(live).find_map(|&tet| at(tet));
+    hinted.or_else(|| find_edge(&mesh.complex, u, v, &mut Vec::new()))
 }
 
 /// One recursive removal.
@@ -307,7 +319,7 @@ impl Removal<'_> {
             if self.open.len() >= self.reach.depth || !self.remove_spoke(mesh, edge, &old, &ring)? {
                 break;
             }
-            match find_edge(&mesh.complex, edge[0], edge[1], &mut Vec::new()) {
+            match shell_start(mesh, edge, &old) {
                 Some(found) => start = found,
                 None => return Ok(true),
             }

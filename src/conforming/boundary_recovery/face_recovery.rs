@@ -99,7 +99,7 @@ fn remove_piercing(
     let count = crossing.edges.len();
     let mut journal = Journal::default();
     for &[u, v] in &crossing.edges {
-        if !remove_edge(mesh, [u, v], effort.reach(None), tries, &mut journal)? {
+        if !remove_edge(mesh, ([u, v], TetId::NONE), effort.reach(None), tries, &mut journal)? {
             continue;
         }
         match tets_across(mesh, face) {

@@ -120,7 +120,8 @@ fn undo_after_loosening(
         let mut edges: Vec<EdgeKey> = edges.into_iter().filter(|e| !mesh.is_segment(e[0], e[1])).collect();
         edges.sort_unstable();
         for edge in edges {
-            let removed = remove_edge(mesh, edge, effort.reach(None), &mut tries, &mut Journal::default())?;
+            let removed =
+                remove_edge(mesh, (edge, TetId::NONE), effort.reach(None), &mut tries, &mut Journal::default())?;
             if removed && undo(mesh, steiner, split, volume)? {
                 return Ok(true);
             }

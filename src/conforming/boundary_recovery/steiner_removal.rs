@@ -139,7 +139,8 @@ pub fn thin_ball(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effort) 
                 thinned |= mesh.replace(&plan.old, &plan.new)?.is_some();
             } else if effort.depth > 0 {
                 let reach = Reach { depth: effort.depth.min(2), ring: effort.ring, aim: None };
-                thinned |= remove_edge(mesh, [vertex, other], reach, &mut tries, &mut Journal::default())?;
+                thinned |=
+                    remove_edge(mesh, ([vertex, other], TetId::NONE), reach, &mut tries, &mut Journal::default())?;
             }
             if thinned {
                 break;
