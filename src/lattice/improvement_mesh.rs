@@ -264,6 +264,16 @@ impl<'a> ImprovementMesh<'a> {
 
     /// Faces at a vertex that separate two sides.
     pub fn surface_faces(&self, v: u32) -> Vec<SurfaceFace> {
+        self.surface_faces_among(v, |_| true)
+    }
+
+    /// Faces that separate two sides of which a vertex is the one with the smallest number: over all vertices each face once.
+    pub fn own_surface_faces(&self, v: u32) -> Vec<SurfaceFace> {
+        self.surface_faces_among(v, |other| other > v)
+    }
+
+    /// Faces at a vertex that separate two sides, and whose other vertices are wanted.
+    fn surface_faces_among(&self, v: u32, is_wanted: impl Fn(u32) -> bool) -> Vec<SurfaceFace> {
         // Smaller and larger vertex, tet, order of every face at v; equal pairs are the two tets of a face.
         let mut entries: Vec<(u64, u32, [u32; 2])> = Vec::with_capacity(self.ball(v).len());
         for &t in self.ball(v) {
@@ -274,7 +284,7 @@ impl<'a> ImprovementMesh<'a> {
             let [p, q, r] = TET_FACES[own];
             let rest = [tet[p], tet[q], tet[r]];
             // A face between two sides has all its vertices on the surface.
-            let on = [self.is_on_surface(rest[0]), self.is_on_surface(rest[1]), self.is_on_surface(rest[2])];
+            let on = rest.map(|w| is_wanted(w) && self.is_on_surface(w));
             for (first, second) in [(0, 1), (1, 2), (2, 0)] {
                 if on[first] && on[second] {
                     let (b, a) = (rest[first], rest[second]);

@@ -328,7 +328,7 @@ fn update_offsets(mesh: &mut ImprovementMesh, wanted: &[f64], image: &LabelImage
         if !mesh.is_on_surface(v) || mesh.ball(v).is_empty() {
             continue;
         }
-        for face in mesh.surface_faces(v) {
+        for face in mesh.own_surface_faces(v) {
             let [a, b] = face.others;
             let is_border = |w: u32| mesh.sides(w).iter().any(|s| matches!(s, Side::Border(_)));
             if face.outer.is_none() && [v, a, b].into_iter().all(is_border) {
@@ -337,8 +337,7 @@ fn update_offsets(mesh: &mut ImprovementMesh, wanted: &[f64], image: &LabelImage
             let [p, q, r]: [DVec3; 3] = [v, a, b].map(|w| mesh.points[w as usize]);
             let inner = mesh.labels[face.inner as usize].index();
             let outer = face.outer.map_or(0, |o| mesh.labels[o as usize].index());
-            // Each face is met at its three vertices.
-            *areas.entry((inner.min(outer), inner.max(outer))).or_default() += (q - p).cross(r - p).length() / 6.0;
+            *areas.entry((inner.min(outer), inner.max(outer))).or_default() += (q - p).cross(r - p).length() / 2.0;
         }
     }
     let mut pairs: Vec<((usize, usize), f64)> = areas.into_iter().collect();

@@ -37,9 +37,9 @@ use crate::lattice::options::Options;
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
 use crate::lattice::untangling::{GuardedMove, GuardedTets, move_guarded};
 use crate::sparse::block_csr::BlockCsr;
-use crate::sparse::conjugate_gradient::StoppingRule;
+use crate::sparse::conjugate_gradient::{StoppingRule, conjugate_gradient};
 use crate::sparse::pattern::Incidence;
-use crate::sparse::solver::{PreparedSolver, SolverKind};
+use crate::sparse::preconditioner::BlockJacobi;
 
 /// Accuracy of the displacements: a hundredth of a move is far below what the next iteration corrects.
 const RELATIVE_TOLERANCE: f64 = 1e-2;
@@ -108,9 +108,11 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
     let rows: Vec<i64> = (0..=scaffold.tets.len() as i64).map(|t| 4 * t).collect();
     let vertices = mesh.points.len() + scaffold.points.len();
     let around = Incidence::new(vertices, &rows, scaffold.tets.as_flattened())?;
+    let preconditioner = BlockJacobi::new(&matrix);
+    let mut springs = Springs { matrix, preconditioner, pulls: vec![0.0; input.sources.vertices.len()] };
     for _ in 0..input.options.smoothing_iterations {
         context.check()?;
-        let displacements = displacements_of(mesh, input, &body, &mut matrix, &mut summary, context)?;
+        let displacements = displacements_of(mesh, input, &body, &mut springs, &mut summary, context)?;
         let bound = input.options.min_dihedral_angle;
         let groups = [
             GuardedTets { tets: &mesh.tets, incidence: &own, part: Part::Mesh },
@@ -139,6 +141,25 @@ struct Body<'a> {
     incidence: &'a Incidence,
 }
 
+/// The stiffness with the springs that pull the source points; only what changes is set anew.
+struct Springs {
+    matrix: BlockCsr,
+    preconditioner: BlockJacobi,
+    /// Stiffness of the spring at each source point.
+    pulls: Vec<f64>,
+}
+
+impl Springs {
+    /// Sets the spring of a source point; `diagonal` is its block without one.
+    fn set(&mut self, at: usize, row: usize, pull: f64, diagonal: &DMat3) {
+        if self.pulls[at] != pull {
+            self.pulls[at] = pull;
+            self.matrix.set_diagonal(row, *diagonal + DMat3::from_diagonal(DVec3::splat(pull)));
+            self.preconditioner.refresh(&self.matrix, row);
+        }
+    }
+}
+
 fn tets_at_sources(mesh: &CandidateMesh, sources: &SourcePoints) -> Vec<u32> {
     let is_near = |t: &u32| mesh.tets[*t as usize].iter().any(|v| sources.position_of(*v).is_some());
     (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096).filter(is_near).collect()
@@ -149,7 +170,7 @@ fn displacements_of(
     mesh: &CandidateMesh,
     input: &Deformation,
     body: &Body<'_>,
-    matrix: &mut BlockCsr,
+    springs: &mut Springs,
     summary: &mut DeformationSummary,
     context: &RunContext,
 ) -> Result<Vec<DVec3>> {
@@ -161,13 +182,14 @@ fn displacements_of(
     for attempt in 0..=input.options.max_confidence_iterations {
         for (at, vertex) in input.sources.vertices.iter().enumerate() {
             let pull = input.options.flexibility * confidence[at];
-            matrix.set_diagonal(vertex.index(), body.diagonals[at] + DMat3::from_diagonal(DVec3::splat(pull)));
+            springs.set(at, vertex.index(), pull, &body.diagonals[at]);
             right[vertex.index()] = wanted[at].unwrap_or(DVec3::ZERO) * pull;
         }
         mesh.fixed.iter().for_each(|v| right[v.index()] = DVec3::ZERO);
         let rule = StoppingRule { relative_tolerance: RELATIVE_TOLERANCE, max_iterations: MAX_SOLVER_ITERATIONS };
-        let solver = PreparedSolver::new(matrix, SolverKind::BlockJacobiCg, context);
-        summary.solver_iterations += solver.solve(&right, &mut displacements, &rule, context)?.iterations;
+        let Springs { matrix, preconditioner, .. } = springs;
+        let solve = conjugate_gradient(matrix, &right, &mut displacements, preconditioner, &rule, context)?;
+        summary.solver_iterations += solve.iterations;
         if attempt == input.options.max_confidence_iterations
             || !scale_confidence(mesh, input, body, &displacements, &mut confidence)
         {

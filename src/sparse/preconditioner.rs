@@ -83,6 +83,11 @@ impl BlockJacobi {
     pub fn new(matrix: &BlockCsr) -> Self {
         Self((0..matrix.row_count()).into_par_iter().map(|row| inverse_or_identity(matrix.diagonal(row))).collect())
     }
+
+    /// Takes the diagonal block of one row anew.
+    pub fn refresh(&mut self, matrix: &BlockCsr, row: usize) {
+        self.0[row] = inverse_or_identity(matrix.diagonal(row));
+    }
 }
 
 impl Preconditioner for BlockJacobi {
