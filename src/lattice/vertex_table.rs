@@ -4,12 +4,12 @@
 //! 1. A position belongs to the coarsest body-centred lattice that holds it: a corner of its cubes or a centre of one.
 //! 2. Corners and centres of 4 x 4 x 4 cubes of a lattice are a block of 128 entries, found by one look into a hash
 //!    table; positions near each other stand in the same block, so a block just used is in the cache.
-//! 3. Blocks are spread over [`SHARDS`] tables. [`VertexTable::insert_all`] sorts what it is given by shard, and each
+//! 3. Blocks are spread over `SHARDS` tables. [`VertexTable::insert_all`] sorts what it is given by shard, and each
 //!    shard looks through its own in the order given; new vertices are then numbered in the order of the chunks of the
 //!    input, and within a chunk by shard.
 //!
 //! # Invariants
-//! The numbers depend on the input and on [`CHUNK`], not on the number of threads. An entry once set stays.
+//! The numbers depend on the input and on `CHUNK`, not on the number of threads. An entry once set stays.
 //!
 //! # Cost
 //! 512 bytes a block; refined regions fill more than half of their entries. Linear, in parallel.
