@@ -66,6 +66,14 @@ pub struct InsertionLimits {
     pub every_edge: bool,
 }
 
+/// Claims what an insertion starts from; the outcome where that is not to be had.
+fn claim_start<S: TetStore + ?Sized>(store: &mut S, tet: TetId, vertex: VertexId) -> Option<Outcome> {
+    if !store.is_live(tet) || store.is_ghost_tet(tet) {
+        return Some(Outcome::NotApplicable);
+    }
+    (!store.try_claim(vertex) || !store.try_claim_tet(tet)).then_some(Outcome::ClaimLost)
+}
+
 /// Plans the insertion of `vertex` (a spare one without tets) that removes `tet`. The plan is in `flips`; the second
 /// value is the place of the vertex, to be set before the commit.
 pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
@@ -77,11 +85,8 @@ pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
     scratch: &mut SliverScratch,
     flips: &mut FlipScratch,
 ) -> (Outcome, DVec3) {
-    if !store.is_live(tet) || store.is_ghost_tet(tet) {
-        return (Outcome::NotApplicable, DVec3::ZERO);
-    }
-    if !store.try_claim(vertex) || !store.try_claim_tet(tet) {
-        return (Outcome::ClaimLost, DVec3::ZERO);
+    if let Some(refusal) = claim_start(store, tet, vertex) {
+        return (refusal, DVec3::ZERO);
     }
     let angles = dihedral_angles(store.points_of(tet));
     let first = (0..6).max_by(|&i, &j| angles[i].total_cmp(&angles[j])).unwrap_or(0);

@@ -306,17 +306,11 @@ impl LatticeVertices {
     /// The vertex at an integer position of the coarsest level, made where there is none yet.
     pub fn insert(&mut self, position: IVec3, frame: &LatticeFrame, field: &Field) -> u32 {
         let own = self.positions.len() as u32;
-        self.insert_middle(position, [own, own], frame, field).0
+        self.insert_middle(position, [own, own], frame, field)
     }
 
-    /// The vertex in the middle of an edge, made where there is none yet; whether it is new.
-    pub fn insert_middle(
-        &mut self,
-        position: IVec3,
-        ends: [u32; 2],
-        frame: &LatticeFrame,
-        field: &Field,
-    ) -> (u32, bool) {
+    /// The vertex in the middle of an edge, made where there is none yet.
+    pub fn insert_middle(&mut self, position: IVec3, ends: [u32; 2], frame: &LatticeFrame, field: &Field) -> u32 {
         let next = self.positions.len() as u32;
         let vertex = self.table.insert(position, next);
         if vertex == next {
@@ -324,7 +318,7 @@ impl LatticeVertices {
             self.parents.push(ends);
             self.label_new(frame, field);
         }
-        (vertex, vertex == next)
+        vertex
     }
 
     /// The vertices in the middles of the six edges of each of the tets, without labels: [`Self::label_new`] follows.

@@ -158,7 +158,7 @@ fn cut(lattice: &mut RedGreenLattice, elements: &mut Elements, group_of: &[u32],
             let ends = [inner[i], outer[o]];
             let position = ends.map(|v| lattice.vertices.positions[v as usize]);
             let place = (position[0] + position[1]) / 2;
-            lattice.vertices.insert_middle(place, ends, &lattice.frame, &lattice.field).0
+            lattice.vertices.insert_middle(place, ends, &lattice.frame, &lattice.field)
         };
         match inner.len() {
             1 => {

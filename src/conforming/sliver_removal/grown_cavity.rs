@@ -53,11 +53,8 @@ pub fn plan_grown_insertion<S: TetStore + ?Sized, M: TetMeasure>(
     scratch: &mut SliverScratch,
     flips: &mut FlipScratch,
 ) -> (Outcome, DVec3) {
-    if !store.is_live(tet) || store.is_ghost_tet(tet) {
-        return (Outcome::NotApplicable, DVec3::ZERO);
-    }
-    if !store.try_claim(vertex) || !store.try_claim_tet(tet) {
-        return (Outcome::ClaimLost, DVec3::ZERO);
+    if let Some(refusal) = super::claim_start(store, tet, vertex) {
+        return (refusal, DVec3::ZERO);
     }
     scratch.cavity.clear();
     scratch.refused.clear();
