@@ -30,13 +30,11 @@ use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::mesh_regions::{joinable_regions, regions_of, relabel_loose_regions, surplus_of};
 use crate::lattice::mixed_elements::{self, SurfaceCount};
 use crate::lattice::options::Options;
+use crate::lattice::progress_shares;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::report::Report;
 use crate::lattice::subdivision_criteria::{Deficit, Targets, finest_level, mark_leaves};
 use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, count_voxels, mismatches};
-
-/// Progress of the whole run when refinement begins and ends.
-const PROGRESS: (f64, f64) = (0.1, 0.6);
 
 /// Rounds of refinement for the sake of topology: a pinch that comes from the image's own shape is gone after two or three
 /// (edges of 4 voxels become half a voxel), one that the lattice makes anew each time never goes.
@@ -70,7 +68,7 @@ pub fn refine(
     report: &mut Report,
     context: &RunContext,
 ) -> Result<CandidateMesh> {
-    context.progress("distance transform", 0.02);
+    context.progress("distance transform", progress_shares::BEGUN);
     let frame = LatticeFrame::new(input.image, input.spacing)?;
     // The components are found by one thread, while the others are at the distances.
     let (distance, components) = report.timed("distance_transform", || {
@@ -82,7 +80,7 @@ pub fn refine(
     let distance = distance?;
     let totals = count_voxels(input.image.voxels(), input.values.len());
     let field = Field::new(input.image, &distance);
-    context.progress("lattice", PROGRESS.0);
+    context.progress("lattice", progress_shares::BEGUN);
     let mut lattice = report.timed("lattice", || RedGreenLattice::new(frame, field, options.max_elements, context))?;
     let mut rounds = Rounds { input, components, totals, smooths: options.smoothing_iterations > 0, report, context };
     let elements = rounds.run(&mut lattice)?;
@@ -123,7 +121,9 @@ impl Rounds<'_> {
         let mut topology_rounds = TOPOLOGY_ROUNDS;
         for round in 0.. {
             let reached = f64::from(round) / (f64::from(round) + 4.0);
-            self.context.progress("refinement", PROGRESS.0 + (PROGRESS.1 - PROGRESS.0) * reached);
+            let end = if self.smooths { progress_shares::REFINED } else { progress_shares::REFINED_ONLY };
+            let share = progress_shares::BEGUN + (end - progress_shares::BEGUN) * reached;
+            self.context.progress("refinement", share);
             let mut elements = self.report.timed("elements", || lattice.elements(self.context))?;
             let mut found = self.count(lattice, &elements)?;
             let mut deficit = self.deficit(&found);

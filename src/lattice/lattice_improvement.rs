@@ -39,6 +39,7 @@ use crate::lattice::element_score::{Ball, Part, Threshold, tet_fails};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::local_transformations::{TransformationCounts, loosen_scaffold, transform};
 use crate::lattice::local_undo::undo_around_low_tets;
+use crate::lattice::progress_shares;
 use crate::lattice::scaffold::STIFF_SCAFFOLD_ANGLE;
 use crate::lattice::short_edges::contract_short_edges;
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
@@ -148,7 +149,12 @@ pub fn improve(
     let wanted = WANTED.max(options.min_dihedral_angle);
     let mut work = ImprovementMesh::new(mesh, sources, surface);
     summary.low_before = low_tets(&work, wanted).len();
+    let advance = |passes: usize| {
+        let shares = (progress_shares::DEFORMED, progress_shares::IMPROVED);
+        context.progress("improvement", progress_shares::within(shares, passes, ROUNDS + LAST_PASSES.len() + 1));
+    };
     for round in 0..ROUNDS {
+        advance(round);
         let may_transform = options.transformations == Transformations::Local && round >= FIRST_TRANSFORMING_ROUND;
         let surfaces = if round + YIELDING_ROUNDS >= ROUNDS { Surfaces::MayYield } else { Surfaces::Stay };
         let low = relax_all(&mut work, RELAXATION_BOUNDS[round], wanted, context)?;
@@ -161,7 +167,8 @@ pub fn improve(
             update_offsets(&mut work, &wanted_volumes, image);
         }
     }
-    for (score, slack) in LAST_PASSES {
+    for (pass, (score, slack)) in LAST_PASSES.into_iter().enumerate() {
+        advance(ROUNDS + pass);
         let wanted = score.max(options.min_dihedral_angle);
         let slack = slack * image.grid().spacing().min_element();
         let effort = Effort { wanted, surfaces: Surfaces::MayYield, slack };
@@ -173,6 +180,7 @@ pub fn improve(
         let counts = may_transform.then_some(&mut summary.counts);
         raise_low_tets(&mut work, low, &effort, counts, context)?;
     }
+    advance(ROUNDS + LAST_PASSES.len());
     if options.transformations == Transformations::Local {
         summary.counts.short_edges = contract_short_edges(&mut work, wanted);
     }

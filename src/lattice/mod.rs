@@ -42,6 +42,7 @@ pub mod mixed_elements;
 #[cfg(test)]
 mod option_effects_tests;
 pub mod options;
+pub mod progress_shares;
 pub mod red_green;
 pub mod red_green_tables;
 pub mod report;
@@ -146,7 +147,7 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
         let points = smoothing::smooth(&mut candidate, &image, &values, options, &mut report, context)?;
         smoothing_outputs(points, &image, options, &mut output);
     }
-    context.progress("finishing", 0.95);
+    context.progress("finishing", progress_shares::FINISHING);
     if options.mixed_elements {
         let limit = options.max_surface_triangles_on_pyramid;
         let worst = options.min_scaled_jacobian;

@@ -1,13 +1,17 @@
 //! Every option acts: for each row of the table a value other than the default changes what comes out.
 
+use std::ops::ControlFlow;
+
 use glam::DVec3;
 
 use crate::context::RunContext;
-use crate::error::{Error, Result};
+use crate::error::{Error, FindingCode, Result};
+use crate::geometry::tetrahedron::volume;
 use crate::image::label_image::LabelImage;
 use crate::lattice::options::{Options, PARAMETERS};
 use crate::lattice::test_images::voxel_image;
 use crate::lattice::{Output, Report};
+use crate::mesh::validation::check_mixed_mesh;
 use crate::parameters::{ParameterSet, Value};
 
 /// Two halves of a ball, with everything that the clean-up looks for: isolated voxels of both kinds, a small region, a contact
@@ -133,6 +137,47 @@ fn debugging_outputs_and_evaluations_come_only_when_asked_for() {
 fn limits_end_a_run_with_their_error() {
     assert!(matches!(run_with(&[("max-elements", "10")]), Err(Error::LimitReached { .. })));
     assert!(matches!(run_with(&[("time-limit", "1e-9")]), Err(Error::LimitReached { .. })));
+}
+
+#[test]
+fn smoothing_without_a_surface_to_move_returns_the_mesh_with_a_finding() {
+    let filled = voxel_image(9, |_| 1);
+    let context = RunContext::with_threads(1).unwrap();
+    let mesh = |smoothing: &str| {
+        let mut set = ParameterSet::new(PARAMETERS);
+        set.set_text("smoothing-iterations", smoothing).unwrap();
+        super::run(&filled, &Options::from_parameters(&set).unwrap(), &context).unwrap().0.mesh
+    };
+    let smoothed = mesh("5");
+    let findings = context.take_findings();
+    assert!(findings.iter().any(|f| f.code == FindingCode::SmoothingStopped), "{findings:?}");
+    check_mixed_mesh(&smoothed).unwrap();
+    // The border is cut flat all the same: the box of the voxels, to the last bit of its planes.
+    let volume: f64 = smoothed.tets().unwrap().iter().map(|t| volume(t.map(|v| smoothed.points[v.index()]))).sum();
+    assert!((volume - 729.0).abs() < 1e-9, "{volume}");
+    mesh("0");
+    assert!(context.take_findings().is_empty());
+}
+
+#[test]
+fn a_run_that_is_cancelled_in_the_middle_of_a_stage_ends_with_the_error() {
+    let ball = voxel_image(56, |p| u16::from(p.distance(DVec3::splat(27.3)) < 24.0));
+    let options = Options::from_parameters(&ParameterSet::new(PARAMETERS)).unwrap();
+    let mut met = 0;
+    for wanted in ["refinement", "target surface", "deformation", "improvement"] {
+        let context = RunContext::with_threads(2).unwrap();
+        let mut is_seen = false;
+        let tick = |stage: &'static str, share: f64| {
+            assert!((0.0..=1.0).contains(&share));
+            is_seen |= stage == wanted;
+            if stage == wanted { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        };
+        let result = context.run(tick, |context| super::run(&ball, &options, context));
+        // A stage may pass between two reports, or be at its end when the report comes.
+        met += usize::from(is_seen && matches!(result, Err(Error::Cancelled)));
+        assert!(result.is_ok() || matches!(result, Err(Error::Cancelled)));
+    }
+    assert!(met > 0);
 }
 
 #[test]

@@ -30,6 +30,7 @@ use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::face_adjacency::neighbors_of;
 use crate::lattice::lattice_improvement::{ImprovementOptions, Transformations, improve};
 use crate::lattice::options::Options;
+use crate::lattice::progress_shares;
 use crate::lattice::report::Report;
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
 use crate::lattice::surface_deformation::{Deformation, deform};
@@ -55,6 +56,7 @@ pub fn smooth(
     report: &mut Report,
     context: &RunContext,
 ) -> Result<SmoothingPoints> {
+    context.progress("target surface", progress_shares::REFINED);
     let surface = report.timed("target_surface", || SubvoxelSurface::new(image, context))?;
     let planes = report.timed("border", || clip_at_border(mesh, &surface))?;
     report.set("smoothing.border_planes", planes as f64);
@@ -75,6 +77,10 @@ pub fn smooth(
     lattice.extend(&mesh.scaffold.points);
     let input = Deformation { image, surface: &surface, sources: &sources, targets: &targets, values, options };
     let summary = report.timed("deformation", || deform(mesh, &input, context))?;
+    if sources.vertices.iter().zip(&points.sources).all(|(v, p)| mesh.points[v.index()] == *p) {
+        let text = "smoothing moved no surface vertex: they have no target, or every move would spoil elements";
+        context.report(Finding::new(FindingCode::SmoothingStopped, Severity::Warning, text));
+    }
     report.set("smoothing.source_points", sources.vertices.len() as f64);
     report.set("smoothing.target_points", targets.len() as f64);
     report.set("smoothing.iterations", summary.iterations as f64);
@@ -104,10 +110,6 @@ pub fn smooth(
     report.set("improvement.splits", result.counts.splits as f64);
     report.set("improvement.turned_edges", result.counts.turned_edges as f64);
     report.set("improvement.short_edges", result.counts.short_edges as f64);
-    if sources.vertices.iter().zip(&points.sources).all(|(v, p)| mesh.points.get(v.index()) == Some(p)) {
-        let text = "smoothing could not move any surface vertex";
-        context.report(Finding::new(FindingCode::SmoothingStopped, Severity::Warning, text));
-    }
     Ok(points)
 }
 

@@ -34,6 +34,7 @@ use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::elastic_model::ElasticModel;
 use crate::lattice::element_score::{Part, Threshold, tet_fails, tet_score};
 use crate::lattice::options::Options;
+use crate::lattice::progress_shares;
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
 use crate::lattice::untangling::{GuardedMove, GuardedTets, move_guarded};
 use crate::sparse::block_csr::BlockCsr;
@@ -110,7 +111,9 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
     let around = Incidence::new(vertices, &rows, scaffold.tets.as_flattened())?;
     let preconditioner = BlockJacobi::new(&matrix);
     let mut springs = Springs { matrix, preconditioner, pulls: vec![0.0; input.sources.vertices.len()] };
-    for _ in 0..input.options.smoothing_iterations {
+    let shares = (progress_shares::TARGETED, progress_shares::DEFORMED);
+    for iteration in 0..input.options.smoothing_iterations {
+        context.progress("deformation", progress_shares::within(shares, iteration, input.options.smoothing_iterations));
         context.check()?;
         let displacements = displacements_of(mesh, input, &body, &mut springs, &mut summary, context)?;
         let bound = input.options.min_dihedral_angle;
