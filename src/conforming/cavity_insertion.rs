@@ -16,7 +16,8 @@
 //! # Differences
 //! [Drakopoulos2017] 4.7 splits the containing tet and restores empty circumspheres by flips. In a Delaunay
 //! neighbourhood the result is the same, for a third of the tets created on the way. Where an earlier pass by another
-//! objective left the neighbourhood not Delaunay and step 2 does not come to an end, the caller splits and flips.
+//! objective left the neighbourhood not Delaunay, step 2 leaves less of the cavity; where a vertex would be lost the caller
+//! splits and flips.
 //!
 //! # Invariants
 //! Generic over the store: all vertices of the cavity are claimed before anything is written. Every vertex, constrained
@@ -40,8 +41,10 @@ use crate::mesh::tet_store::TetStore;
 const LINEAR: usize = 48;
 /// Slots of that table.
 const SLOTS: usize = 128;
-/// Times that a cavity may grow anew: each turns at least one tet out. In refinement more than three are rare.
-const CORRECTIONS: usize = 8;
+/// Times that a cavity may grow anew: each turns at least one tet out, in the end all but the first, which is a cavity by
+/// itself. In refinement more than three are rare, but giving up after eight left splits among flat tets to flips that got
+/// stuck, and such places spread from round to round.
+const CORRECTIONS: usize = 256;
 
 /// A border face of the cavity: (a, b, c, p) is positive.
 #[derive(Debug, Clone, Copy)]
@@ -119,9 +122,13 @@ impl CavityScratch {
             let before = self.excluded.len();
             for face in &self.border {
                 let [a, b, c] = store.triangle(face.corners);
-                if face.tet != tet && orient3d(a, b, c, point) <= 0.0 && !self.excluded.contains(&face.tet) {
-                    self.excluded.push(face.tet);
+                if orient3d(a, b, c, point) > 0.0 || self.excluded.contains(&face.tet) {
+                    continue;
                 }
+                if face.tet == tet {
+                    return Outcome::WouldInvert; // on a face that has to stay
+                }
+                self.excluded.push(face.tet);
             }
             if self.excluded.len() == before {
                 return if self.keeps_all(store) { Outcome::Accepted } else { Outcome::Constrained };

@@ -4,7 +4,7 @@
 //! 1. A tet is satisfied when every edge is shorter than `cdff` times the average size of its ends and its largest
 //!    dihedral angle is below `angmax`; then it is marked and leaves the list of active tets.
 //! 2. A face of an active tet belongs to the front when it lies on the boundary or on a satisfied tet.
-//! 3. An active tet whose candidates are all rejected rests until one of its neighbours becomes satisfied.
+//! 3. An active tet that outlives the insertion of its candidates rests until one of its neighbours becomes satisfied.
 //!
 //! # Source
 //! [Drakopoulos2017] 4.7.1 (element activation and deactivation, front).
@@ -30,8 +30,8 @@ use crate::mesh::tet_store::TetStore;
 
 /// The user bit that marks satisfied tets.
 pub const SATISFIED: usize = 0;
-/// The user bit of tets that rest: none of their candidates was accepted, and none will be until a neighbour becomes
-/// satisfied, because candidates depend on the front faces only and points that reject them stay.
+/// The user bit of tets that rest: their candidates were inserted or found something too close, and so it will be until
+/// a neighbour becomes satisfied, because candidates depend on the front faces only and points that reject them stay.
 pub const RESTING: usize = 1;
 /// Tets per parallel chunk.
 const CHUNK: usize = 1024;
@@ -115,17 +115,24 @@ pub fn deactivate(complex: &mut TetComplex, sizes: &[f64], rule: Satisfaction, a
     }
 }
 
-/// Puts the tets of `active` to rest, except those that `tried` lists; the others stay in the list.
-pub fn rest_all_but(complex: &mut TetComplex, active: &mut Vec<TetId>, tried: impl Iterator<Item = TetId>) {
-    for &tet in active.iter() {
+/// Puts the tets of `active` to rest and empties the list: their candidates become vertices, which replaces most of the
+/// tets, or find a vertex too close, which stays.
+pub fn rest(complex: &mut TetComplex, active: &mut Vec<TetId>) {
+    for tet in active.drain(..) {
         let flags = complex.flags(tet).with_user_bit(RESTING, true);
         complex.set_flags(tet, flags);
     }
-    for tet in tried {
-        let flags = complex.flags(tet).with_user_bit(RESTING, false);
-        complex.set_flags(tet, flags);
+}
+
+/// Adds those of `tets` to the list that still rest.
+pub fn wake(complex: &mut TetComplex, tets: impl Iterator<Item = TetId>, active: &mut Vec<TetId>) {
+    for tet in tets {
+        let flags = complex.flags(tet);
+        if complex.is_live(tet) && flags.has_user_bit(RESTING) {
+            complex.set_flags(tet, flags.with_user_bit(RESTING, false));
+            active.push(tet);
+        }
     }
-    active.retain(|&tet| !complex.flags(tet).has_user_bit(RESTING));
 }
 
 /// Whether a face of an active tet belongs to the front.

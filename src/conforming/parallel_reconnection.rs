@@ -48,13 +48,24 @@ use crate::parallel::speculative::{Attempt, SpeculativeCounts, Worker, run_specu
 use crate::parallel::work_queue::WorkSettings;
 use crate::statistics::Statistics;
 
-/// A vertex to insert and the tet to walk from.
+/// A vertex to insert and where to walk from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Insert {
     /// The vertex; its point and clearance are set.
     pub vertex: VertexId,
     /// A tet near its point.
     pub start: TetId,
+    /// A vertex of that tet: where the walk starts when the tet is gone.
+    pub near: VertexId,
+}
+
+/// A vertex that was not inserted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Rejected {
+    /// The vertex.
+    pub vertex: VertexId,
+    /// Whether the walk to its point failed, or something stood in the way; else another vertex is too close.
+    pub unreached: bool,
 }
 
 /// Most flips that one tet may set off in a pass.
@@ -76,9 +87,7 @@ struct Kit {
     reconnector: Reconnector,
     smoother: Smoother,
     slivers: SliverScratch,
-    /// The vertex inserted last: where lost walks start again.
-    last: Option<VertexId>,
-    rejected: Vec<VertexId>,
+    rejected: Vec<Rejected>,
     /// Vertices without tets that sliver removal may use.
     spare: Vec<VertexId>,
     /// Sizes of the vertices taken from `spare`.
@@ -130,17 +139,17 @@ impl Job for InsertJob<'_> {
     type Item = Insert;
 
     fn attempt<S: TetStore>(&self, store: &mut S, kit: &mut Kit, item: Insert) -> Result<Attempt> {
-        let start = match kit.last {
-            Some(vertex) if !store.is_live(item.start) => store.tet_of(vertex),
-            _ => item.start,
-        };
+        // The slot may hold another tet by now, anywhere.
+        let is_there = store.vertices(item.start).contains(&item.near);
+        let start = if is_there { item.start } else { store.tet_of(item.near) };
         let point = store.point(item.vertex);
         let reconnector = &mut kit.reconnector;
         match insert_vertex(store, self.clearances, item.vertex, point, start, self.rule, reconnector)? {
-            Insertion::Inserted => kit.last = Some(item.vertex),
+            Insertion::Inserted => {}
             Insertion::ClaimLost => return Ok(Attempt::ClaimLost),
             Insertion::NoRoom => return Ok(Attempt::NoRoom),
-            _ => kit.rejected.push(item.vertex),
+            Insertion::TooClose => kit.rejected.push(Rejected { vertex: item.vertex, unreached: false }),
+            Insertion::Outside => kit.rejected.push(Rejected { vertex: item.vertex, unreached: true }),
         }
         Ok(Attempt::Done)
     }
@@ -397,7 +406,8 @@ impl Driver {
         Ok(fresh)
     }
 
-    /// Inserts vertices in this order; returns those that were not inserted. `fresh` gains the tets that are new.
+    /// Inserts vertices in this order, one round after the other, of which `ends` are the ends; returns those that were not
+    /// inserted. `fresh` gains the tets that are new.
     ///
     /// # Errors
     /// [`crate::error::Error::Cancelled`], or what the store refuses.
@@ -405,13 +415,16 @@ impl Driver {
         &mut self,
         complex: &mut TetComplex,
         clearances: &[f64],
-        inserts: Vec<Insert>,
+        (inserts, ends): (&[Insert], &[usize]),
         rule: &InsertionRule,
         fresh: &mut Vec<TetId>,
-    ) -> Result<Vec<VertexId>> {
-        self.kits.iter_mut().for_each(|kit| kit.last = None);
-        let room = TETS_PER_INSERT * inserts.len();
-        self.run(complex, &InsertJob { clearances, rule }, inserts, room)?;
+    ) -> Result<Vec<Rejected>> {
+        let mut begin = 0;
+        for &end in ends {
+            let room = TETS_PER_INSERT * (end - begin);
+            self.run(complex, &InsertJob { clearances, rule }, inserts[begin..end].to_vec(), room)?;
+            begin = end;
+        }
         fresh.append(&mut self.finish_lost(complex, Objective::InSphere, FourFour::Off)?);
         Ok(self.kits.iter_mut().flat_map(|kit| std::mem::take(&mut kit.rejected)).collect())
     }

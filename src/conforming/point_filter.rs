@@ -46,22 +46,24 @@ pub enum Walk {
     Inside(TetId),
     /// At a constrained face or the end of the mesh.
     Blocked,
-    /// Too long, or through a tet that another thread removed.
+    /// Too long.
     Lost,
+    /// At a tet that another thread removed.
+    Gone,
 }
 
-/// Walks from `start` to the tet that contains `point`, never across a constrained face.
+/// Walks from `start` to the tet that contains `point`, across constrained faces only where `crosses_walls`.
 ///
 /// # Source
 /// Remembering walk with a rotating first face, [DevillersPionTeillaud2002].
-pub fn walk<S: TetStore + ?Sized>(store: &S, start: TetId, point: DVec3) -> Walk {
+pub fn walk<S: TetStore + ?Sized>(store: &S, start: TetId, point: DVec3, crosses_walls: bool) -> Walk {
     let mut tet = start;
     let mut entered = 4;
     let mut blocked = false;
     for step in 0..MAX_STEPS {
         let row = store.vertices(tet);
         if row[0] == row[1] {
-            return Walk::Lost;
+            return Walk::Gone;
         }
         if has_ghost(row) {
             return Walk::Blocked;
@@ -80,7 +82,7 @@ pub fn walk<S: TetStore + ?Sized>(store: &S, start: TetId, point: DVec3) -> Walk
             if rough.unwrap_or_else(|| orient3d(corners[a], corners[b], corners[c], point)) > 0.0 {
                 let side = TetFace::new(tet, face);
                 let other = store.neighbor(side);
-                if other == TetFace::NONE || store.is_face_constrained(side) {
+                if other == TetFace::NONE || !crosses_walls && store.is_face_constrained(side) {
                     blocked = true; // another face may still lead there
                     continue;
                 }

@@ -27,7 +27,7 @@ use std::time::Instant;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::front::{RESTING, SATISFIED, Satisfaction, corner_sizes, deactivate, rest_all_but};
+use super::front::{RESTING, SATISFIED, Satisfaction, corner_sizes, deactivate, rest, wake};
 use super::local_reconnection::{FlipCounts, FourFour, Objective};
 use super::options::Options;
 use super::parallel_reconnection::{Driver, Insert};
@@ -375,13 +375,13 @@ fn refine_round(
     let accepted = context.install(|| filter(complex, (sizes, clearances), field, options, &candidates))?;
     drop(candidates);
     round.filtered = accepted.len();
-    rest_all_but(complex, active, accepted.iter().map(|a| a.origin));
+    rest(complex, active);
     let mut accepted = accepted;
     round.stopped = accepted.len() > room;
     accepted.truncate(room);
-    let accepted = if options.sort_new_points { sorted_along_curve(accepted)? } else { accepted };
+    let (accepted, ends) =
+        if options.sort_new_points { sorted_along_curve(&accepted)? } else { (accepted.clone(), vec![accepted.len()]) };
     let inserts = assign_vertices(complex, sizes, &accepted, unused)?;
-    drop(accepted);
     let rule = InsertionRule {
         near_factor: options.near_point_factor,
         snap_tolerance: if options.snap_location { options.location_tolerance } else { 0.0 },
@@ -390,9 +390,16 @@ fn refine_round(
     let count = inserts.len();
     clearances.resize(sizes.len(), 0.0);
     inserts.iter().for_each(|insert| clearances[insert.vertex.index()] = sizes[insert.vertex.index()]);
-    let rejected = driver.insert(complex, clearances, inserts, &rule, &mut fresh)?;
+    let rejected = driver.insert(complex, clearances, (&inserts, &ends), &rule, &mut fresh)?;
     round.inserted = count - rejected.len();
-    unused.extend(rejected);
+    // The walk to them failed; another will not.
+    let mut unreached: Vec<VertexId> = rejected.iter().filter(|r| r.unreached).map(|r| r.vertex).collect();
+    unreached.sort_unstable();
+    let places = inserts.iter().zip(&accepted);
+    let origins = places.filter(|(i, _)| unreached.binary_search(&i.vertex).is_ok()).map(|(_, place)| place.origin);
+    wake(complex, origins, active);
+    drop((inserts, accepted));
+    unused.extend(rejected.into_iter().map(|r| r.vertex));
     let objective = match options.reconnection_criterion {
         1 => Objective::InSphere,
         2 => Objective::EdgeWeight,
@@ -443,7 +450,7 @@ fn filter(
     let is_free = field.is_free();
     let test =
         |candidate: &Candidate| -> Option<Result<Accepted>> {
-            let Walk::Inside(tet) = walk(complex, candidate.tet, candidate.point) else { return None };
+            let Walk::Inside(tet) = walk(complex, candidate.tet, candidate.point, false) else { return None };
             let interpolated = interpolated_size(complex, sizes, tet, candidate.point, options.size_minimum_weight);
             let wanted = interpolated.min(options.growth_rate * candidate.scale);
             let size = if is_free { Ok(wanted) } else { field.bounded_in(complex.label(tet), candidate.point, wanted) };
@@ -459,20 +466,21 @@ fn filter(
 
 /// Accepted candidates in random rounds of doubling size, each along a Hilbert curve [AmentaChoiRote2003]: neighbours in
 /// space become neighbours in memory and in the work, and the few first points break up tets that reach across the
-/// domain before the many come (round a sphere every early cavity is the whole mesh).
-fn sorted_along_curve(accepted: Vec<Accepted>) -> Result<Vec<Accepted>> {
+/// domain before the many come (round a sphere every early cavity is the whole mesh). Threads that began with different
+/// rounds would all meet such cavities, so the ends of the rounds are returned too.
+fn sorted_along_curve(accepted: &[Accepted]) -> Result<(Vec<Accepted>, Vec<usize>)> {
     let points: Vec<DVec3> = accepted.iter().map(|a| a.point).collect();
     let mut order = hilbert_order(&points)?;
     let (random, ends) = brio_order(points.len(), 0);
     let mut round_of = vec![0u32; points.len()];
     let mut begin = 0;
-    for (round, end) in ends.into_iter().enumerate() {
+    for (round, &end) in ends.iter().enumerate() {
         random[begin..end].iter().for_each(|&i| round_of[i as usize] = round as u32);
         begin = end;
     }
     // Stable: the curve's order stays within a round.
     order.sort_by_key(|&i| round_of[i as usize]);
-    Ok(order.into_iter().map(|i| accepted[i as usize]).collect())
+    Ok((order.into_iter().map(|i| accepted[i as usize]).collect(), ends))
 }
 
 /// Gives every accepted candidate a vertex: ones left over from earlier rounds first.
@@ -484,6 +492,7 @@ fn assign_vertices(
 ) -> Result<Vec<Insert>> {
     let mut inserts = Vec::with_capacity(accepted.len());
     for Accepted { point, size, tet, .. } in accepted {
+        let near = nearest_corner(complex, *tet, *point);
         let vertex = match unused.pop() {
             Some(vertex) => {
                 complex.set_point(vertex, *point);
@@ -495,7 +504,16 @@ fn assign_vertices(
                 complex.push_point(*point)?
             }
         };
-        inserts.push(Insert { vertex, start: *tet });
+        inserts.push(Insert { vertex, start: *tet, near });
     }
     Ok(inserts)
+}
+
+fn nearest_corner(complex: &TetComplex, tet: TetId, point: DVec3) -> VertexId {
+    let [a, b, c, d] = complex.vertices(tet);
+    let nearer = |v: VertexId, w: VertexId| {
+        let is_nearer = complex.point(w).distance_squared(point) < complex.point(v).distance_squared(point);
+        if is_nearer { w } else { v }
+    };
+    nearer(nearer(a, b), nearer(c, d))
 }

@@ -1,11 +1,11 @@
 //! Direct insertion of accepted points: split the tet, face or edge that contains the point, then reconnect around it.
 //!
 //! # Method
-//! 1. Walk from the tet of the point inserted last nearby to the tet that contains the point.
+//! 1. Walk from the tet that contained the point before the round, or from its nearest corner, to the one that does now.
 //! 2. Apply the distance rules again (`point_filter`): candidates inserted since then are vertices now.
-//! 3. Inside a tet: replace the tets whose circumspheres contain the point ([`super::cavity_insertion`]).
-//! 4. On a face or edge, and where that cavity cannot be made star-shaped: split by 2-6, n-2n or 1-4 and restore empty
-//!    circumspheres around the new vertex by flips.
+//! 3. Replace the tets whose circumspheres contain the point ([`super::cavity_insertion`]).
+//! 4. Where that cavity would lose something, and for points moved to a face or edge nearby: split by 2-6, n-2n or 1-4 and
+//!    restore empty circumspheres around the new vertex by flips.
 //!
 //! # Source
 //! [Drakopoulos2017] 4.7.1 (point insertion), figure 67; B.3 `loc`, `loctol`.
@@ -64,11 +64,13 @@ pub fn insert_vertex<S: TetStore + ?Sized>(
     rule: &InsertionRule,
     reconnector: &mut Reconnector,
 ) -> Result<Insertion> {
-    let tet = match walk(store, start, point) {
+    // The point is known to lie in its region. The start may be on the other side of a wall that it lies beside.
+    let tet = match walk(store, start, point, true) {
         Walk::Inside(tet) => tet,
         Walk::Blocked => return Ok(Insertion::Outside),
-        // Too far, or the start is gone: not worth another attempt.
+        // Too far: not worth another attempt.
         Walk::Lost => return Ok(Insertion::Outside),
+        Walk::Gone => return Ok(Insertion::ClaimLost),
     };
     // The walk read without claims: the slot may hold another tet by now, which does not contain the point.
     if !store.try_claim(vertex) || !store.try_claim_tet(tet) || !contains(store, tet, point) {
@@ -81,7 +83,8 @@ pub fn insert_vertex<S: TetStore + ?Sized>(
     }
     let feature = feature_of(store, tet, point, 0.0);
     let snapped = if rule.snap_tolerance > 0.0 { feature_of(store, tet, point, rule.snap_tolerance) } else { feature };
-    if matches!(snapped, Feature::Tet(_)) {
+    // A point on a face or an edge has a cavity like any other: the tets beside it join, their circumspheres hold it.
+    if snapped == feature && !matches!(feature, Feature::Vertex(_)) {
         match reconnector.cavity.plan(store, tet, point) {
             Outcome::Accepted => {
                 if !reconnector.cavity.is_clear(store, clearances, point, clearances[vertex.index()], rule.near_factor)
