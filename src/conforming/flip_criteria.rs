@@ -162,30 +162,42 @@ pub const MAX_WEIGHTED: usize = 8;
 /// flat or inverted.
 pub fn min_edge_weight<S: TetStore + ?Sized>(store: &S, tets: &[[VertexId; 4]]) -> f64 {
     debug_assert!(tets.len() <= MAX_WEIGHTED);
-    let mut edges = [((VertexId::GHOST, VertexId::GHOST), 0.0f64); 6 * MAX_WEIGHTED];
+    // Tets of a configuration share faces: each adds at most one vertex to the first four.
+    let mut vertices = [VertexId::GHOST; MAX_WEIGHTED + 3];
     let mut count = 0;
+    // The sum of the edge between the local vertices i > j at i (i - 1) / 2 + j.
+    let mut sums = [0.0f64; (MAX_WEIGHTED + 3) * (MAX_WEIGHTED + 2) / 2];
+    let mut seen = 0u64;
     for tet in tets {
         let corners = store.corners(*tet);
         let six_volume = volume6(corners);
         if six_volume <= 0.0 {
             return f64::NEG_INFINITY;
         }
+        let mut local = [0usize; 4];
+        for (number, vertex) in local.iter_mut().zip(tet) {
+            *number = vertices[..count].iter().position(|v| v == vertex).unwrap_or_else(|| {
+                vertices[count] = *vertex;
+                count += 1;
+                count - 1
+            });
+        }
         let normals = face_normals(corners);
         let scale = -six_volume.recip();
         for [i, j] in TET_EDGES {
-            let key = if tet[i] < tet[j] { (tet[i], tet[j]) } else { (tet[j], tet[i]) };
+            let (high, low) = (local[i].max(local[j]), local[i].min(local[j]));
+            let edge = high * (high - 1) / 2 + low;
             // The faces opposite to the ends of the edge.
-            let weight = scale * normals[i].dot(normals[j]);
-            match edges[..count].iter_mut().find(|(k, _)| *k == key) {
-                Some((_, sum)) => *sum += weight,
-                None => {
-                    edges[count] = (key, weight);
-                    count += 1;
-                }
-            }
+            sums[edge] += scale * normals[i].dot(normals[j]);
+            seen |= 1 << edge;
         }
     }
-    edges[..count].iter().map(|(_, weight)| *weight).fold(f64::INFINITY, f64::min)
+    let mut smallest = f64::INFINITY;
+    while seen != 0 {
+        smallest = smallest.min(sums[seen.trailing_zeros() as usize]);
+        seen &= seen - 1;
+    }
+    smallest
 }
 
 #[cfg(test)]

@@ -68,6 +68,9 @@ pub struct Rejected {
     pub unreached: bool,
 }
 
+/// The user bit of tets without short edges, see [`Driver::collapse_small_edges`].
+pub const LONG: usize = 2;
+
 /// Most flips that one tet may set off in a pass.
 const BUDGET: usize = 64;
 /// Room that one attempt may need: the tets of the largest cavity.
@@ -479,7 +482,8 @@ impl Driver {
     }
 
     /// Collapses edges of tets with vertices `within` that are shorter than `factor` times the smaller size of their ends, where one end is free to go and no
-    /// tet around gets worse than the worst of them was.
+    /// tet around gets worse than the worst of them was. Tets without such edges get the user bit `LONG`, those that have it
+    /// are passed over.
     ///
     /// # Errors
     /// As [`Driver::insert`].
@@ -490,18 +494,31 @@ impl Driver {
         factor: f64,
         within: &(impl Fn(&[VertexId; 4]) -> bool + Sync),
     ) -> Result<()> {
+        const CHUNK: usize = 2048;
         let reader = &*complex;
-        let short: Vec<[VertexId; 2]> = self.context.install(|| {
-            let mut short: Vec<[VertexId; 2]> = (0..reader.slot_count())
-                .into_par_iter()
-                .with_min_len(2048)
-                .filter(|&i| within(&reader.vertices(TetId::from_index(i))))
-                .flat_map_iter(|i| short_edges(reader, sizes, TetId::from_index(i), factor))
-                .collect();
-            short.par_sort_unstable();
-            short.dedup();
-            short
-        });
+        let chunks = reader.slot_count().div_ceil(CHUNK);
+        let look_at = |chunk: usize| {
+            let (mut short, mut long) = (Vec::new(), Vec::new());
+            for tet in (chunk * CHUNK..reader.slot_count().min((chunk + 1) * CHUNK)).map(TetId::from_index) {
+                let flags = reader.flags(tet);
+                if !flags.is_deleted() && !flags.has_user_bit(LONG) && within(&reader.vertices(tet)) {
+                    let known = short.len();
+                    short.extend(short_edges(reader, sizes, tet, factor));
+                    if short.len() == known {
+                        long.push(tet);
+                    }
+                }
+            }
+            (short, long)
+        };
+        let found: Vec<_> = self.context.install(|| (0..chunks).into_par_iter().map(look_at).collect());
+        let mut short = Vec::new();
+        for (edges, tets) in found {
+            short.extend(edges);
+            tets.into_iter().for_each(|tet| complex.set_flags(tet, complex.flags(tet).with_user_bit(LONG, true)));
+        }
+        short.sort_unstable();
+        short.dedup();
         self.run(complex, &CollapseJob, short, ATTEMPT_ROOM)?;
         self.finish_lost(complex, Objective::EdgeWeight, FourFour::Off).map(|_| ())
     }

@@ -24,7 +24,8 @@
 //! Constraints are kept.
 //!
 //! # Cost
-//! Scans are linear and parallel; the rest is proportional to the number of bad tets.
+//! Scans are linear and parallel, and read no more than the flags of tets that have not changed since the last; the rest
+//! is proportional to the number of bad tets.
 
 use std::time::Instant;
 
@@ -43,6 +44,7 @@ use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::{TET_FACES, TET_OPPOSITE_EDGES};
 use crate::mesh::quality::SLIVER_DEGREES;
 use crate::mesh::tet_complex::TetComplex;
+use crate::mesh::tet_flags::TetFlags;
 use crate::mesh::tet_store::TetStore;
 use crate::statistics::Statistics;
 
@@ -88,40 +90,116 @@ impl Scope {
     }
 }
 
-/// Tets of the scope that a rule finds bad, worst first.
-fn bad_tets(
+/// Tets of the scope, without those that `skips` knows from their flags: those that a rule finds bad, worst first, and the
+/// others in the order of storage.
+fn sift(
     complex: &TetComplex,
     context: &RunContext,
     scope: &Scope,
+    skips: impl Fn(TetFlags) -> bool + Sync,
     is_bad: impl Fn(TetId) -> Option<f64> + Sync,
-) -> Vec<TetId> {
+) -> (Vec<TetId>, Vec<TetId>) {
     let slots = complex.slot_count();
-    let mut found: Vec<(f64, TetId)> = context.install(|| {
-        (0..slots)
-            .into_par_iter()
-            .with_min_len(CHUNK)
-            .filter_map(|i| {
-                let tet = TetId::from_index(i);
-                let usable = scope.holds(&complex.vertices(tet))
-                    && complex.is_live(tet)
-                    && !complex.label(tet).is_background()
-                    && !complex.is_ghost_tet(tet);
-                if usable { is_bad(tet).map(|grade| (grade, tet)) } else { None }
-            })
-            .collect()
-    });
+    let look_at = |chunk: usize| {
+        let (mut bad, mut good): (Vec<(f64, TetId)>, Vec<TetId>) = (Vec::new(), Vec::new());
+        for tet in (chunk * CHUNK..slots.min((chunk + 1) * CHUNK)).map(TetId::from_index) {
+            let flags = complex.flags(tet);
+            let usable = !flags.is_deleted()
+                && !skips(flags)
+                && scope.holds(&complex.vertices(tet))
+                && !complex.label(tet).is_background()
+                && !complex.is_ghost_tet(tet);
+            if usable {
+                match is_bad(tet) {
+                    Some(grade) => bad.push((grade, tet)),
+                    None => good.push(tet),
+                }
+            }
+        }
+        (bad, good)
+    };
+    let parts: Vec<_> = context.install(|| (0..slots.div_ceil(CHUNK)).into_par_iter().map(look_at).collect());
+    let mut bad: Vec<(f64, TetId)> = Vec::new();
+    let mut good = Vec::new();
+    for (some_bad, some_good) in parts {
+        bad.extend(some_bad);
+        good.extend(some_good);
+    }
     // By id within a grade: the same order for any thread count.
-    found.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    found.into_iter().map(|(_, tet)| tet).collect()
+    bad.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    (bad.into_iter().map(|(_, tet)| tet).collect(), good)
 }
 
-/// Tets of the scope with a dihedral angle above `degrees`, largest first.
-fn tets_above(complex: &TetComplex, context: &RunContext, scope: &Scope, degrees: f64) -> Vec<TetId> {
+/// Whether a tet has a dihedral angle above `degrees`, as its cosine.
+fn angle_above(complex: &TetComplex, degrees: f64) -> impl Fn(TetId) -> Option<f64> + Sync + '_ {
     let limit = degrees.to_radians().cos();
-    bad_tets(complex, context, scope, |tet| {
+    move |tet| {
         let corners = complex.points_of(tet);
         exceeds_angle(corners, limit).then(|| dihedral_cosines(corners).1)
-    })
+    }
+}
+
+/// Whether a tet has a grade below `limit`, as that grade.
+fn grade_below(complex: &TetComplex, limit: f64) -> impl Fn(TetId) -> Option<f64> + Sync + '_ {
+    move |tet| {
+        let grade = BiasedSine.grade(complex.points_of(tet));
+        (grade < limit).then_some(grade)
+    }
+}
+
+/// The user bit of tets without an angle above that of [`Known`].
+const BLUNT: usize = 0;
+/// The user bit of tets whose grade is at least that of [`Known`].
+const GRADED: usize = 1;
+
+/// What user bits say of tets from one scan to the next: most are good from the first pass on. New tets have none of them,
+/// and moving a vertex takes them away.
+struct Known {
+    /// Degrees.
+    angle: f64,
+    grade: f64,
+}
+
+impl Known {
+    /// Tets of the scope with a dihedral angle above `degrees`, largest first.
+    fn tets_above(&self, complex: &mut TetComplex, context: &RunContext, scope: &Scope, degrees: f64) -> Vec<TetId> {
+        let is_blunt_enough = degrees >= self.angle;
+        let is_good_enough = degrees >= 90.0 && BiasedSine::grade_of_angles(90.0, degrees) <= self.grade;
+        let skips = |flags: TetFlags| {
+            is_blunt_enough && flags.has_user_bit(BLUNT) || is_good_enough && flags.has_user_bit(GRADED)
+        };
+        let (bad, good) = sift(complex, context, scope, skips, angle_above(complex, degrees));
+        if degrees <= self.angle {
+            Self::mark(complex, &good, BLUNT);
+        }
+        bad
+    }
+
+    /// Tets of the scope with a grade below `limit`, worst first.
+    fn tets_below(&self, complex: &mut TetComplex, context: &RunContext, scope: &Scope, limit: f64) -> Vec<TetId> {
+        let skips = |flags: TetFlags| limit <= self.grade && flags.has_user_bit(GRADED);
+        let (bad, good) = sift(complex, context, scope, skips, grade_below(complex, limit));
+        if limit >= self.grade {
+            Self::mark(complex, &good, GRADED);
+        }
+        bad
+    }
+
+    fn mark(complex: &mut TetComplex, tets: &[TetId], bit: usize) {
+        for &tet in tets {
+            complex.set_flags(tet, complex.flags(tet).with_user_bit(bit, true));
+        }
+    }
+
+    /// Takes all bits away, for the next engine.
+    fn forget(complex: &mut TetComplex) {
+        for tet in (0..complex.slot_count()).map(TetId::from_index) {
+            let flags = complex.flags(tet);
+            if !flags.is_deleted() {
+                complex.set_flags(tet, flags.without_user_bits());
+            }
+        }
+    }
 }
 
 /// Number of slivers: tets with an angle below 2 or above 178 degrees.
@@ -131,10 +209,11 @@ pub fn sliver_count(complex: &TetComplex, context: &RunContext) -> usize {
 
 fn slivers(complex: &TetComplex, context: &RunContext) -> Vec<TetId> {
     let limit = SLIVER_DEGREES.to_radians().cos();
-    bad_tets(complex, context, &Scope::default(), |tet| {
+    let is_sliver = |tet: TetId| {
         let (largest, smallest) = dihedral_cosines(complex.points_of(tet));
         (largest > limit || smallest < -limit).then_some(smallest)
-    })
+    };
+    sift(complex, context, &Scope::default(), |_| false, is_sliver).0
 }
 
 /// Whether the boundary forces a sliver: two of its faces on the boundary meet at the bad angle, or a face on the boundary
@@ -153,14 +232,6 @@ fn is_forced_sliver(complex: &TetComplex, tet: TetId) -> bool {
         is_wall(i) && is_wall(j) && is_extreme(angles[edge])
     };
     (0..4).any(|face| is_wall(face) && has_extreme_corner(face)) || (0..6).any(meets_between_walls)
-}
-
-/// Tets of the scope with a grade below `limit`, worst first.
-fn tets_below(complex: &TetComplex, context: &RunContext, scope: &Scope, limit: f64) -> Vec<TetId> {
-    bad_tets(complex, context, scope, |tet| {
-        let grade = BiasedSine.grade(complex.points_of(tet));
-        (grade < limit).then_some(grade)
-    })
 }
 
 /// The vertices of some tets, each once, ascending.
@@ -192,7 +263,7 @@ pub fn treat_flat_tets(
     context: &RunContext,
 ) -> Result<()> {
     let goal = FLAT_DEGREES.to_radians().sin();
-    let flat = tets_below(complex, context, &Scope::default(), goal);
+    let flat = sift(complex, context, &Scope::default(), |_| false, grade_below(complex, goal)).0;
     if flat.is_empty() {
         return Ok(());
     }
@@ -217,8 +288,10 @@ pub fn improve(
         return Ok(figures);
     }
     let on_boundary = boundary_vertices(complex);
-    let mut improver =
-        Improver { options, context, on_boundary: &on_boundary, driver: Driver::for_quality(options, context) };
+    let driver = Driver::for_quality(options, context);
+    let angle = options.quality_angle.min(options.mask_angle);
+    let known = Known { angle, grade: BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1) };
+    let mut improver = Improver { options, context, on_boundary: &on_boundary, driver, known };
     let passes = options.quality_passes;
     let mut scope = Scope::default();
     for repeat in 0..=options.quality_repeats {
@@ -237,7 +310,7 @@ pub fn improve(
                 ("points_tried", (after.tried - before.tried) as f64),
                 ("points_accepted", (after.inserted - before.inserted) as f64),
                 ("points_removed", (after.removed - before.removed) as f64),
-                ("slivers", tets_above(complex, context, &scope, options.field_sliver_angle).len() as f64),
+                ("slivers", improver.known.tets_above(complex, context, &scope, options.field_sliver_angle).len() as f64),
                 ("time", pass_start.elapsed().as_secs_f64()),
             ] {
                 figures.set(format!("{prefix}.{name}"), value);
@@ -252,12 +325,13 @@ pub fn improve(
             context.progress("quality improvement", 0.65 + 0.3 * (pass + 1) as f64 / (passes + 1) as f64);
         }
         improver.treat_worst(complex, sizes, &scope)?;
-        let left = tets_above(complex, context, &scope, options.repeat_angle);
+        let left = improver.known.tets_above(complex, context, &scope, options.repeat_angle);
         if left.is_empty() {
             break;
         }
         scope = Scope::around(complex, &left, REPEAT_RINGS);
     }
+    Known::forget(complex);
     improver.driver.record(&mut figures, "quality");
     let slivers = slivers(complex, context);
     figures.set("quality.slivers", slivers.len() as f64);
@@ -273,6 +347,7 @@ struct Improver<'a> {
     context: &'a RunContext,
     on_boundary: &'a [bool],
     driver: Driver,
+    known: Known,
 }
 
 impl Improver<'_> {
@@ -288,7 +363,7 @@ impl Improver<'_> {
         // The grade that the masking angle has; small angles of the same grade count as well.
         let mask = BiasedSine::grade_of_angles(90.0, options.mask_angle);
         let goal = mask.min(BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1));
-        let bad = tets_below(complex, context, scope, goal);
+        let bad = self.known.tets_below(complex, context, scope, goal);
         self.driver.take_touched();
         // Slivers are among these, or what becomes of them.
         let mut near: Vec<VertexId> = bad.iter().flat_map(|&t| complex.vertices(t)).collect();
@@ -297,7 +372,7 @@ impl Improver<'_> {
             for _ in 0..options.field_sliver_repeats {
                 near.append(&mut self.driver.take_touched());
                 let around = Scope::of_vertices(complex, std::mem::take(&mut near));
-                let slivers = tets_above(complex, context, &around, options.field_sliver_angle);
+                let slivers = self.known.tets_above(complex, context, &around, options.field_sliver_angle);
                 // What was tried in vain is tried again only where something has changed beside it.
                 if slivers.is_empty()
                     || self.driver.treat(complex, sizes, self.on_boundary, slivers, &Treatment::everything(goal))? == 0
@@ -321,7 +396,7 @@ impl Improver<'_> {
             (true, true) => FourFour::Best,
         };
         if options.group_active_quality || scope.0.is_some() {
-            let mut active = tets_above(complex, self.context, scope, options.quality_angle);
+            let mut active = self.known.tets_above(complex, self.context, scope, options.quality_angle);
             self.driver.reconnect(complex, &mut active, objective, four, 1)
         } else {
             self.driver.reconnect_ungrouped(complex, options.quality_angle, objective, four)
@@ -330,7 +405,7 @@ impl Improver<'_> {
 
     fn smooth(&mut self, complex: &mut TetComplex, scope: &Scope) -> Result<()> {
         let options = self.options;
-        let masked = tets_above(complex, self.context, scope, options.mask_angle);
+        let masked = self.known.tets_above(complex, self.context, scope, options.mask_angle);
         let mut vertices = vertices_of(complex, &masked);
         let rule = SmoothingRule {
             target: if options.smoothing_mode == 2 { Target::Centroids } else { Target::OptimalPlacement },
@@ -354,7 +429,8 @@ impl Improver<'_> {
         for _ in 0..WORST_ROUNDS {
             self.context.check()?;
             // Where nothing has changed, what failed fails again.
-            let bad = tets_below(complex, self.context, touched.as_ref().unwrap_or(scope), goal);
+            let scope = touched.as_ref().unwrap_or(scope);
+            let bad = self.known.tets_below(complex, self.context, scope, goal);
             if bad.is_empty() || self.driver.treat(complex, sizes, self.on_boundary, bad, &treatment)? == 0 {
                 break;
             }

@@ -64,11 +64,11 @@ fn stress(threads: usize, seed: u64) {
     for point in points(seed, POINTS) {
         let vertex = complex.push_point(point).unwrap();
         sizes.push(1e-3);
-        inserts.push(Insert { vertex, start: hint });
+        inserts.push(Insert { vertex, start: hint, near: complex.vertices(hint)[0] });
     }
     let rule = InsertionRule { near_factor: 0.5, snap_tolerance: 0.0 };
     let mut fresh = Vec::new();
-    let rejected = driver.insert(&mut complex, &sizes, inserts, &rule, &mut fresh).unwrap();
+    let rejected = driver.insert(&mut complex, &sizes, (&inserts, &[POINTS / 2, POINTS]), &rule, &mut fresh).unwrap();
     check(&complex, expected_walls, "insertion");
     // Only the few beyond the wall as seen from the hint, or lost on a walk through changing tets, may be missing.
     assert!(rejected.len() < POINTS / 2, "{} rejected", rejected.len());

@@ -16,7 +16,7 @@
 //! The search follows difference quotients of the worst tets' grades and halves its step; it needs no linear program.
 //!
 //! # Invariants
-//! A vertex on a constraint never moves. Every tet of a moved ball is positive by exact arithmetic.
+//! A vertex on a constraint never moves. Every tet of a moved ball is positive by exact arithmetic, and has no user bit.
 //!
 //! # Cost
 //! A ball has 24 tets on average: about two microseconds a target, ten to fifty a search. No allocation in the kernel.
@@ -267,6 +267,14 @@ impl Smoother {
         Outcome::Accepted
     }
 
+    /// Moves the vertex whose ball is held; what user bits say of the shapes of its tets is no longer so.
+    fn move_to<S: TetStore + ?Sized>(&self, store: &mut S, vertex: VertexId, place: DVec3) {
+        store.set_point(vertex, place);
+        for &tet in &self.ball {
+            store.set_flags(tet, store.flags(tet).without_user_bits());
+        }
+    }
+
     /// Moves a vertex towards its target.
     pub fn smooth<S: TetStore + ?Sized, M: TetMeasure>(
         &mut self,
@@ -294,7 +302,7 @@ impl Smoother {
             for _ in 0..HALVINGS {
                 let trial = at + share * (goal - at);
                 if self.star.grade(measure, trial, bound) > bound && self.star.is_visible_from(trial) {
-                    store.set_point(vertex, trial);
+                    self.move_to(store, vertex, trial);
                     return Outcome::Accepted;
                 }
                 share *= 0.5;
@@ -318,7 +326,7 @@ impl Smoother {
         let before = self.star.strict_grade(measure, at, f64::NEG_INFINITY);
         let (place, after) = self.star.search(measure, at);
         if after > before * (1.0 + 1e-6) && self.star.is_visible_from(place) {
-            store.set_point(vertex, place);
+            self.move_to(store, vertex, place);
             Outcome::Accepted
         } else {
             Outcome::WorsensQuality

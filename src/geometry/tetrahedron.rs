@@ -116,6 +116,12 @@ pub fn solid_angle([a, b, c, d]: Corners) -> f64 {
     2.0 * u.cross(v).dot(w).abs().atan2(denominator)
 }
 
+/// The six edge lengths in the order of `mesh::numbering::TET_EDGES`, written out: `map` over arrays is not inlined reliably.
+#[inline]
+fn edge_lengths([a, b, c, d]: Corners) -> [f64; 6] {
+    [a.distance(b), a.distance(c), a.distance(d), b.distance(c), b.distance(d), c.distance(d)]
+}
+
 /// The six edge vectors in the order of `mesh::numbering::TET_EDGES`.
 #[inline]
 pub fn edge_vectors([a, b, c, d]: Corners) -> [DVec3; 6] {
@@ -132,14 +138,16 @@ pub fn circumsphere([a, b, c, d]: Corners) -> Option<(DVec3, f64)> {
 }
 
 /// Radius of the inscribed sphere; 0 for a flat tet.
+#[inline]
 pub fn inradius(corners: Corners) -> f64 {
     let doubled_area: f64 = face_normals(corners).iter().map(|n| n.length()).sum();
     if doubled_area > 0.0 { volume6(corners).abs() / doubled_area } else { 0.0 }
 }
 
 /// Circumradius over three times the inradius: 1 for the regular tet, infinite for a flat one.
+#[inline]
 pub fn radius_ratio(corners: Corners) -> f64 {
-    let [ab, ac, ad, bc, bd, cd] = edge_vectors(corners).map(DVec3::length);
+    let [ab, ac, ad, bc, bd, cd] = edge_lengths(corners);
     // R = sqrt(q) / (24 V) with the products of opposite edges (Crelle).
     let (x, y, z) = (ab * cd, ac * bd, ad * bc);
     let q = ((x + y + z) * (x + y - z) * (x - y + z) * (y + z - x)).max(0.0);
@@ -148,6 +156,7 @@ pub fn radius_ratio(corners: Corners) -> f64 {
 }
 
 /// 12 (3 V)^(2/3) over the sum of squared edge lengths: 1 for the regular tet, 0 for a flat one, negative inverted.
+#[inline]
 pub fn mean_ratio(corners: Corners) -> f64 {
     let squares: f64 = edge_vectors(corners).iter().map(|e| e.length_squared()).sum();
     let half = volume6(corners) / 2.0;
@@ -155,8 +164,9 @@ pub fn mean_ratio(corners: Corners) -> f64 {
 }
 
 /// Smallest corner Jacobian over the product of its edge lengths, times sqrt(2): 1 for the regular tet.
+#[inline]
 pub fn scaled_jacobian(corners: Corners) -> f64 {
-    let [ab, ac, ad, bc, bd, cd] = edge_vectors(corners).map(DVec3::length);
+    let [ab, ac, ad, bc, bd, cd] = edge_lengths(corners);
     let product = (ab * ac * ad).max(ab * bc * bd).max(ac * bc * cd).max(ad * bd * cd);
     if product > 0.0 { std::f64::consts::SQRT_2 * volume6(corners) / product } else { 0.0 }
 }

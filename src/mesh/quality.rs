@@ -17,6 +17,8 @@
 //! # Cost
 //! O(elements), in parallel over fixed chunks that are summed in order: the same bits for any thread count.
 
+use std::sync::OnceLock;
+
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -215,9 +217,68 @@ pub struct MeshQuality {
     pub tet_volume: f64,
 }
 
+/// Cells of the cosines from -1 to 1 that tell the bin of an angle without its arc.
+const COSINE_CELLS: usize = 4096;
+/// The cell of a bin's end, where the angle itself has to decide.
+const UNDECIDED: u8 = u8::MAX;
+/// Cosines further from 0 belong to angles that may make slivers, or whose cosine says little.
+const SAFE_COSINE: f64 = 0.999;
+/// What cosines may be off by, generously: angles within it of the extremes so far are computed.
+const COSINE_SLACK: f64 = 1e-9;
+
+/// The bin of each cell of cosines.
+fn cosine_cells() -> &'static [u8; COSINE_CELLS + 1] {
+    static CELLS: OnceLock<[u8; COSINE_CELLS + 1]> = OnceLock::new();
+    CELLS.get_or_init(|| {
+        let bin = |cosine: f64| (cosine.clamp(-1.0, 1.0).acos().to_degrees() / BIN_DEGREES) as u8;
+        std::array::from_fn(|cell| {
+            let begin = 2.0 * cell as f64 / COSINE_CELLS as f64 - 1.0;
+            let (low, high) = (begin - COSINE_SLACK, begin + 2.0 / COSINE_CELLS as f64 + COSINE_SLACK);
+            if bin(low) == bin(high) { bin(low) } else { UNDECIDED }
+        })
+    })
+}
+
+/// Adds the angles of a tet as [`AngleBins::add`] does, most of them by their cosines; whether the tet is a sliver.
+fn add_tet_angles(tet: [DVec3; 4], [largest, smallest]: &mut [f64; 2], angles: &mut AngleBins) -> bool {
+    let normals = tetrahedron::face_normals(tet);
+    let scale = [
+        normals[0].length_squared().sqrt().recip(),
+        normals[1].length_squared().sqrt().recip(),
+        normals[2].length_squared().sqrt().recip(),
+        normals[3].length_squared().sqrt().recip(),
+    ];
+    let cosine = |k: usize, l: usize| -normals[k].dot(normals[l]) * (scale[k] * scale[l]);
+    let cosines = [cosine(2, 3), cosine(1, 3), cosine(1, 2), cosine(0, 3), cosine(0, 2), cosine(0, 1)];
+    let cells = cosine_cells();
+    let mut bins = [0u8; 6];
+    let mut is_plain = true;
+    for (bin, &cosine) in bins.iter_mut().zip(&cosines) {
+        // Also false for the cosines of flat tets, which are no numbers.
+        is_plain &= cosine.abs() < SAFE_COSINE && cosine < *largest - COSINE_SLACK && cosine > *smallest + COSINE_SLACK;
+        *bin = cells[((cosine + 1.0) * (COSINE_CELLS / 2) as f64) as usize % (COSINE_CELLS + 1)];
+        is_plain &= *bin != UNDECIDED;
+    }
+    if is_plain {
+        bins.iter().for_each(|&bin| angles.bins[usize::from(bin)] += 1);
+        return false;
+    }
+    let mut is_sliver = false;
+    for (angle, cosine) in tetrahedron::dihedral_angles(tet).into_iter().zip(cosines) {
+        angles.add(angle);
+        is_sliver |= !(SLIVER_DEGREES..=180.0 - SLIVER_DEGREES).contains(&angle);
+        // `max` and `min` pass over what is no number.
+        *largest = largest.max(cosine);
+        *smallest = smallest.min(cosine);
+    }
+    is_sliver
+}
+
 #[derive(Clone)]
 struct Partial {
     quality: MeshQuality,
+    /// The largest and the smallest cosine of the tets' angles so far.
+    extreme_cosines: [f64; 2],
 }
 
 impl Partial {
@@ -229,10 +290,14 @@ impl Partial {
                 min_mean_ratio: 1.0,
                 ..MeshQuality::default()
             },
+            extreme_cosines: [f64::NEG_INFINITY, f64::INFINITY],
         }
     }
 
     fn add(&mut self, kind: ElementKind, corners: &[DVec3]) {
+        if kind_slot(kind) == 0 {
+            return self.add_tet([corners[0], corners[1], corners[2], corners[3]]);
+        }
         let quality = &mut self.quality;
         let mut angles = AngleRange { min: f64::INFINITY, max: f64::NEG_INFINITY };
         for_each_angle(kind, corners, |angle| {
@@ -245,14 +310,21 @@ impl Partial {
         quality.mean_scaled_jacobian += jacobian;
         quality.slivers += u64::from(angles.min < SLIVER_DEGREES || angles.max > 180.0 - SLIVER_DEGREES);
         quality.counts[kind_slot(kind)] += 1;
-        if kind_slot(kind) == 0 {
-            let tet = [corners[0], corners[1], corners[2], corners[3]];
-            let mean = tetrahedron::mean_ratio(tet);
-            quality.max_radius_ratio = quality.max_radius_ratio.max(tetrahedron::radius_ratio(tet));
-            quality.min_mean_ratio = quality.min_mean_ratio.min(mean);
-            quality.mean_mean_ratio += mean;
-            quality.tet_volume += tetrahedron::volume(tet);
-        }
+    }
+
+    fn add_tet(&mut self, tet: [DVec3; 4]) {
+        let quality = &mut self.quality;
+        let is_sliver = add_tet_angles(tet, &mut self.extreme_cosines, &mut quality.dihedral);
+        quality.slivers += u64::from(is_sliver);
+        let jacobian = tetrahedron::scaled_jacobian(tet);
+        quality.min_scaled_jacobian = quality.min_scaled_jacobian.min(jacobian);
+        quality.mean_scaled_jacobian += jacobian;
+        quality.counts[0] += 1;
+        let mean = tetrahedron::mean_ratio(tet);
+        quality.max_radius_ratio = quality.max_radius_ratio.max(tetrahedron::radius_ratio(tet));
+        quality.min_mean_ratio = quality.min_mean_ratio.min(mean);
+        quality.mean_mean_ratio += mean;
+        quality.tet_volume += tetrahedron::volume(tet);
     }
 
     fn merge(&mut self, other: &Self) {
@@ -367,6 +439,30 @@ mod tests {
         [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
             .map(|(x, y, z)| DVec3::new(f64::from(x), f64::from(y), f64::from(z)))
             .to_vec()
+    }
+
+    #[test]
+    fn bins_by_cosines_are_those_of_the_angles() {
+        let mut state = 5u32;
+        let mut next = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            f64::from(state >> 8) / f64::from(1 << 24)
+        };
+        let mut tets: Vec<[DVec3; 4]> =
+            (0..5000).map(|_| std::array::from_fn(|_| DVec3::new(next(), next(), next()))).collect();
+        // Angles at the ends of bins, a flat tet, and one without any area.
+        tets.push([DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z]);
+        tets.push([DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::X + DVec3::Y]);
+        tets.push([DVec3::X; 4]);
+        let (mut fast, mut plain) = (AngleBins::default(), AngleBins::default());
+        let mut extremes = [f64::NEG_INFINITY, f64::INFINITY];
+        for tet in tets {
+            let angles = tetrahedron::dihedral_angles(tet);
+            angles.into_iter().for_each(|angle| plain.add(angle));
+            let is_sliver = angles.iter().any(|a| *a < SLIVER_DEGREES || *a > 180.0 - SLIVER_DEGREES);
+            assert_eq!(add_tet_angles(tet, &mut extremes, &mut fast), is_sliver);
+        }
+        assert_eq!(fast, plain);
     }
 
     #[test]

@@ -141,6 +141,13 @@ impl TetFlags {
         self.with(1 << (FIRST_USER + bit), on)
     }
 
+    /// Clears all user bits.
+    #[inline]
+    #[must_use]
+    pub fn without_user_bits(self) -> Self {
+        self.with(0b111 << FIRST_USER, false)
+    }
+
     /// Only the constraint bits.
     #[inline]
     #[must_use]
