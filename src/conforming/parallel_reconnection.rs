@@ -481,9 +481,9 @@ impl Driver {
         self.finish_lost(complex, objective, four).map(|_| ())
     }
 
-    /// Collapses edges of tets with vertices `within` that are shorter than `factor` times the smaller size of their ends, where one end is free to go and no
-    /// tet around gets worse than the worst of them was. Tets without such edges get the user bit `LONG`, those that have it
-    /// are passed over.
+    /// Collapses edges of tets with vertices `within` that are shorter than `factor` times the smaller size of their ends,
+    /// where one end is free to go and no tet around gets worse than the worst of them was. Tets without such edges get the
+    /// user bit `LONG`, and those that have it are passed over: the factor is the same in all calls.
     ///
     /// # Errors
     /// As [`Driver::insert`].
