@@ -310,7 +310,10 @@ pub fn improve(
                 ("points_tried", (after.tried - before.tried) as f64),
                 ("points_accepted", (after.inserted - before.inserted) as f64),
                 ("points_removed", (after.removed - before.removed) as f64),
-                ("slivers", improver.known.tets_above(complex, context, &scope, options.field_sliver_angle).len() as f64),
+                (
+                    "slivers",
+                    improver.known.tets_above(complex, context, &scope, options.field_sliver_angle).len() as f64,
+                ),
                 ("time", pass_start.elapsed().as_secs_f64()),
             ] {
                 figures.set(format!("{prefix}.{name}"), value);
