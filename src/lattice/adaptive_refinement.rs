@@ -6,7 +6,8 @@
 //! 3. Otherwise relabel the candidate mesh ([`super::element_labels`]) and count again; refine where that costs the
 //!    fidelity. At the finest level the relabelling spares what a label needs instead.
 //! 4. Where surfaces are smoothed or checked, pinches are relabelled ([`super::interface_topology`]) and what still pinches
-//!    is carved ([`super::interface_carving`]), with the check after a few rounds of refinement.
+//!    is carved ([`super::interface_carving`]), with the check after a few rounds of refinement there and where a label
+//!    is broken ([`super::region_gaps`]).
 //!
 //! # Source
 //! [Drakopoulos2017] 2.3.3.
@@ -24,7 +25,7 @@ use crate::index::Label;
 use crate::lattice::bcc_lattice::{Field, LatticeFrame};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
-use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
+use crate::lattice::face_adjacency::neighbors_of;
 use crate::lattice::interface_carving::carve;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::mesh_regions::{joinable_regions, regions_of, relabel_loose_regions, surplus_of};
@@ -32,6 +33,7 @@ use crate::lattice::mixed_elements::{self, SurfaceCount};
 use crate::lattice::options::Options;
 use crate::lattice::progress_shares;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
+use crate::lattice::region_gaps::elements_at_gaps;
 use crate::lattice::report::Report;
 use crate::lattice::subdivision_criteria::{Deficit, Targets, finest_level, mark_leaves};
 use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, count_voxels, mismatches};
@@ -82,6 +84,9 @@ pub fn refine(
     let field = Field::new(input.image, &distance);
     context.progress("lattice", progress_shares::BEGUN);
     let mut lattice = report.timed("lattice", || RedGreenLattice::new(frame, field, options.max_elements, context))?;
+    if options.local_closure {
+        lattice.close_locally();
+    }
     let mut rounds = Rounds { input, components, totals, smooths: options.smoothing_iterations > 0, report, context };
     let elements = rounds.run(&mut lattice)?;
     report.set("lattice.level", f64::from(lattice.deepest_level()));
@@ -263,7 +268,8 @@ impl Rounds<'_> {
         self.relabel_pinches(lattice, elements, &neighbors, before)?;
         let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
         let pinched = topology.pinched(&elements.labels);
-        let surplus = surplus_of(&regions_of(elements, &neighbors), &self.face_components(), labels);
+        let regions = regions_of(elements, &neighbors);
+        let surplus = surplus_of(&regions, &self.face_components(), labels);
         let mut marked = vec![false; lattice.tets.len()];
         if limit.rounds_left > 0 {
             let mut mark = |e: u32| {
@@ -271,15 +277,12 @@ impl Rounds<'_> {
                 marked[leaf] |= u32::from(lattice.levels[leaf]) < limit.finest;
             };
             topology.elements_around(&pinched).into_iter().for_each(&mut mark);
-            // Elements inside of a label cannot connect its regions: its boundary is refined.
-            let lies_apart = |e: usize, label: Label| {
-                let is_foreign = |n: &u32| *n == OUTSIDE || elements.labels[*n as usize] != label;
-                surplus[label.index()] > 0 && neighbors[e].iter().any(is_foreign)
-            };
-            let apart = (0..elements.tets.len()).filter(|e| lies_apart(*e, elements.labels[*e]));
-            apart.for_each(|e| mark(e as u32));
+            let regions = joinable_regions(elements, &regions, surplus);
+            elements_at_gaps(lattice, elements, &neighbors, &regions).into_iter().for_each(&mut mark);
         }
         if marked.contains(&true) {
+            // A few gaps must not refine the whole lattice.
+            lattice.close_locally();
             return Ok(marked);
         }
         let neighbors = self.carve_pinches(lattice, elements, neighbors)?;

@@ -326,21 +326,37 @@ impl LatticeVertices {
     /// # Errors
     /// [`Error::CapacityExceeded`] past 2^31 vertices.
     pub fn insert_middles(&mut self, tets: &[[u32; 4]]) -> Result<Vec<[u32; 6]>> {
+        self.insert_between(tets.len(), |tet, e| TET_EDGES[e].map(|v| tets[tet][v]))
+    }
+
+    /// The middle vertices of edges.
+    ///
+    /// # Errors
+    /// As [`Self::insert_middles`].
+    pub fn split_edges(&mut self, edges: &[[u32; 2]]) -> Result<()> {
+        self.insert_between::<1>(edges.len(), |edge, _| edges[edge]).map(|_| ())
+    }
+
+    /// `N` middle vertices a row, each between the ends that are given.
+    fn insert_between<const N: usize>(
+        &mut self,
+        rows: usize,
+        ends: impl Fn(usize, usize) -> [u32; 2] + Sync,
+    ) -> Result<Vec<[u32; N]>> {
         let old = self.positions.len();
-        if old + 6 * tets.len() > i32::MAX as usize {
-            let needed = (old + 6 * tets.len()) as u64;
+        if old + N * rows > i32::MAX as usize {
+            let needed = (old + N * rows) as u64;
             return Err(Error::CapacityExceeded { what: "lattice vertices", needed, limit: i32::MAX as u64 });
         }
         let positions = &self.positions;
-        let middle = |tet: usize, e: usize| {
-            let [a, b] = TET_EDGES[e].map(|v| positions[tets[tet][v] as usize]);
+        let middle = |row: usize, column: usize| {
+            let [a, b] = ends(row, column).map(|v| positions[v as usize]);
             (a + b) / 2
         };
-        let inserted = self.table.insert_all(tets.len(), old as u32, middle);
-        let ends =
-            |vertex: &NewVertex| TET_EDGES[usize::from(vertex.asked_by.1)].map(|v| tets[vertex.asked_by.0 as usize][v]);
+        let inserted = self.table.insert_all(rows, old as u32, middle);
+        let ends_of = |vertex: &NewVertex| ends(vertex.asked_by.0 as usize, usize::from(vertex.asked_by.1));
         self.positions.par_extend(inserted.new.par_iter().with_min_len(1024).map(|v| v.position));
-        self.parents.par_extend(inserted.new.par_iter().with_min_len(1024).map(ends));
+        self.parents.par_extend(inserted.new.par_iter().with_min_len(1024).map(ends_of));
         Ok(inserted.rows)
     }
 

@@ -1,7 +1,7 @@
 //! Smoothing is taken back, in part or wholly, around tets that nothing could make good enough.
 //!
 //! # Method
-//! The lattice has dihedral angles of 30 to 116 degrees, so around a bad tet a good mesh is known: the one before smoothing.
+//! The lattice has dihedral angles of 30 to 120 degrees, so around a bad tet a good mesh is known: the one before smoothing.
 //! 1. The vertices of the bad tets, and rings of neighbours around them, go back along the way they came: the innermost by
 //!    the largest part, the outermost by the least. Replacements of tets that touch them are taken back first, with those
 //!    that built on them.

@@ -45,6 +45,7 @@ pub mod options;
 pub mod progress_shares;
 pub mod red_green;
 pub mod red_green_tables;
+pub mod region_gaps;
 pub mod report;
 pub mod scaffold;
 pub mod short_edges;

@@ -57,6 +57,7 @@ const EFFECTS: &[(&str, &str, &[(&str, &str)])] = &[
     ("max-element-size", "1", PLAIN),
     ("min-element-size", "3", &[("fidelity", "0.99"), ("lattice-spacing", "4")]),
     ("surface-tolerance", "100", &[("fidelity", "0.5"), ("lattice-spacing", "8")]),
+    ("local-closure", "1", &[("fidelity", "0.99"), ("lattice-spacing", "4")]),
     ("fixed-point", "9,9,9.2", PLAIN),
     ("target-vertices", "300", PLAIN),
     ("check-mesh-topology", "1", COARSE),

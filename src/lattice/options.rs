@@ -85,6 +85,8 @@ pub const PARAMETERS: Table = &[
         "Elements with edges up to twice this length are not refined further for fidelity; can be given per label. Labels and components are kept all the same."), Multiplicity::PerLabel),
     row("surface-tolerance", "", above(0.0, INF), Default::Real(0.8), "voxels", "Lattice",
         "Elements at boundaries are refined past the fidelity, down to edges of two voxels, where straight elements miss the boundary by more than this many voxels: thin walls, narrow gaps, strong curvature. A large value leaves the fidelity alone to decide, and so does target-vertices where this is not given."),
+    row("local-closure", "", Kind::Flag, Default::Flag(false), "", "Lattice",
+        "Keeps refinement where it is asked for, with 2 to 8 times fewer elements away from boundaries; they meet at up to 120 instead of 117 degrees before smoothing. Otherwise refined places grow together to uniform regions, as in the thesis. With fewer elements a surface-tolerance of 0.25 follows smooth boundaries as closely as uniform regions do."),
     times(row("fixed-point", "", Kind::Text, Default::Unset, "mm", "Lattice",
         "A point X,Y,Z (LPS mm) that becomes a vertex of the mesh: an electrode, a landmark. Repeatable."), Multiplicity::Repeatable),
     row("target-vertices", "", COUNT, Default::Unset, "", "Lattice",
@@ -246,6 +248,8 @@ pub struct Options {
     pub min_element_size: PerLabel<Option<f64>>,
     /// Largest distance of straight elements from a boundary before they are refined, in voxels (root mean square of the spacings).
     pub surface_tolerance: f64,
+    /// Whether refinement is closed locally.
+    pub local_closure: bool,
     /// Points that become vertices, LPS mm.
     pub fixed_points: Vec<DVec3>,
     /// Wanted number of vertices.
@@ -336,6 +340,7 @@ impl Options {
             fidelity: per_label(set, "fidelity"),
             max_element_size: optional_per_label(set, "max-element-size"),
             min_element_size: optional_per_label(set, "min-element-size"),
+            local_closure: set.flag("local-closure"),
             surface_tolerance: match set.is_set("target-vertices") && !set.is_set("surface-tolerance") {
                 true => f64::INFINITY,
                 false => set.real("surface-tolerance"),

@@ -2,8 +2,8 @@
 //!
 //! # Method
 //! 1. Marked tets become red: their six edges are split.
-//! 2. Every other tet looks at its edges. A pattern without a template, or an edge split twice, makes it red too;
-//!    repeated until nothing changes. The result does not depend on the order.
+//! 2. Every other tet looks at its edges. All of them split, or one split twice, makes it red too. Other patterns are
+//!    treated as the [`Closure`] says. Repeated until nothing changes; the result does not depend on the order.
 //! 3. Red tets are replaced by their eight children; children that cannot hold a labelled voxel are dropped. Children
 //!    are looked at as in 2.
 //! 4. [`RedGreenLattice::elements`] closes what is left with green templates. Greens are never stored, so they are
@@ -13,11 +13,13 @@
 //! [Molino2003], [Drakopoulos2017] 2.3.3.
 //!
 //! # Differences
+//! Besides the closure of [Molino2003] there is a local one, for which every set of split edges has a template
+//! ([`super::red_green_tables`]): refinement stays where it was asked for.
 //! A midpoint exists exactly where an integer key is in the vertex table; there are no edge records.
 //!
 //! # Invariants
 //! Every stored tet is a scaled copy of the coarsest, long edges first; all dihedral angles of [`Elements`] lie within
-//! 30 and 116.57 degrees. Tets stay in the order of their coarsest tet, then depth first.
+//! 30 and 120 degrees. Tets stay in the order of their coarsest tet, then depth first.
 //!
 //! # Cost
 //! 24 bytes a stored tet and about 40 a vertex. Linear, in parallel; looking up midpoints dominates.
@@ -29,13 +31,31 @@ use crate::context::RunContext;
 use crate::error::{Error, Result};
 use crate::index::Label;
 use crate::lattice::bcc_lattice::{Field, LatticeFrame, LatticeVertices, coarsest_tets};
-use crate::lattice::red_green_tables::{RED_CHILDREN, green_children};
+use crate::lattice::red_green_tables::{RED_CHILDREN, green_children, is_regular, missing_long_edges};
 use crate::mesh::numbering::TET_EDGES;
 use crate::parallel::ordered_concat::ordered_concat;
 use crate::parallel::shared_rows::SharedBytes;
 
+/// All edges of a tet.
+const ALL_EDGES: u8 = 0b111111;
+
+/// Edges of each face, in the order of `numbering::TET_EDGES`.
+const FACE_EDGES: [[usize; 3]; 4] = [[0, 1, 3], [0, 2, 4], [1, 2, 5], [3, 4, 5]];
+
 /// Tets per parallel work item: some 0.1 ms, far above the cost of handing it over.
 const CHUNK: usize = 2048;
+
+/// What becomes of a leaf whose neighbours split some of its edges.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Closure {
+    /// Anything but one edge, two opposite ones or a face makes it red. Marks that lie scattered grow together to
+    /// regions of one level, with many elements of the best shape; a few hundred marks can refine a whole lattice.
+    #[default]
+    Uniform,
+    /// A face of which only both short edges are split gets its long one split ([`missing_long_edges`]), then every
+    /// pattern has a template: marks reach no farther than their neighbours.
+    Local,
+}
 
 /// The adaptive lattice.
 pub struct RedGreenLattice<'a> {
@@ -51,6 +71,7 @@ pub struct RedGreenLattice<'a> {
     pub levels: Vec<u8>,
     deepest: u8,
     max_elements: usize,
+    closure: Closure,
 }
 
 /// The conforming elements of the lattice: red leaves and greens.
@@ -81,9 +102,15 @@ impl<'a> RedGreenLattice<'a> {
         let mut vertices = LatticeVertices::default();
         let tets = coarsest_tets(&frame, &field, &mut vertices, context)?;
         let levels = vec![0; tets.len()];
-        let lattice = Self { frame, field, vertices, tets, levels, deepest: 0, max_elements };
+        let closure = Closure::default();
+        let lattice = Self { frame, field, vertices, tets, levels, deepest: 0, max_elements, closure };
         lattice.check_size(lattice.tets.len())?;
         Ok(lattice)
+    }
+
+    /// Closes refinement locally from now on: what has been closed so cannot be closed otherwise.
+    pub fn close_locally(&mut self) {
+        self.closure = Closure::Local;
     }
 
     /// Deepest level of any leaf.
@@ -107,31 +134,33 @@ impl<'a> RedGreenLattice<'a> {
         let refinable = |t: &u32| marked[*t as usize] && self.levels[*t as usize] < max_level;
         let leaves = (0..self.tets.len() as u32).into_par_iter().with_min_len(CHUNK);
         let mut pending: Vec<u32> = leaves.filter(refinable).collect();
-        while !pending.is_empty() {
+        let mut long_edges = Vec::new();
+        while !(pending.is_empty() && long_edges.is_empty()) {
             let mut splits = Splits { slots: vec![u32::MAX; self.tets.len()], middles: Vec::new() };
-            while !pending.is_empty() {
+            while !(pending.is_empty() && long_edges.is_empty()) {
                 context.check()?;
-                let touched = self.split_all_edges(&pending, &mut splits)?;
+                let touched = self.split_edges_of(&pending, &long_edges, &mut splits)?;
                 let near = |t: usize| {
                     splits.slots[t] == u32::MAX
                         && self.tets[t].iter().filter(|v| touched[**v as usize] != 0).count() >= 2
                 };
-                pending = self.promoted(near);
+                (pending, long_edges) = self.to_be_split(near);
             }
             self.vertices.label_new(&self.frame, &self.field);
             // A child of a promoted tet can itself have edges that its neighbours split.
             let is_new = self.replace_by_children(&splits, context)?;
-            pending = self.promoted(|t| is_new[t]);
+            (pending, long_edges) = self.to_be_split(|t| is_new[t]);
         }
         Ok(())
     }
 
-    /// Splits the edges of leaves. Touches the ends of the edges that are new, and the ends of the edges in whose middle
+    /// Splits all edges of leaves, and single edges. Touches the ends of the edges that are new, and the ends of the edges in whose middle
     /// these ends lie: every leaf for which a new vertex matters has two touched corners.
-    fn split_all_edges(&mut self, leaves: &[u32], splits: &mut Splits) -> Result<Vec<u8>> {
+    fn split_edges_of(&mut self, leaves: &[u32], edges: &[[u32; 2]], splits: &mut Splits) -> Result<Vec<u8>> {
         let first_new = self.vertices.positions.len();
         let tets: Vec<[u32; 4]> = leaves.par_iter().with_min_len(CHUNK).map(|t| self.tets[*t as usize]).collect();
         let middles = self.vertices.insert_middles(&tets)?;
+        self.vertices.split_edges(edges)?;
         for (slot, leaf) in (splits.middles.len() as u32..).zip(leaves) {
             splits.slots[*leaf as usize] = slot;
             self.deepest = self.deepest.max(self.levels[*leaf as usize] + 1);
@@ -148,17 +177,27 @@ impl<'a> RedGreenLattice<'a> {
         Ok(touched)
     }
 
-    /// Leaves among the candidates that have to become red.
-    fn promoted(&self, is_candidate: impl Fn(usize) -> bool + Sync) -> Vec<u32> {
-        let has_to = |t: usize| self.levels[t] < self.deepest && is_candidate(t) && self.must_be_red(&self.tets[t]);
-        let chunks: Vec<Vec<u32>> = (0..self.tets.len().div_ceil(CHUNK))
+    /// Leaves among the candidates that have to become red, and single edges of the others that have to be split.
+    fn to_be_split(&self, is_candidate: impl Fn(usize) -> bool + Sync) -> (Vec<u32>, Vec<[u32; 2]>) {
+        let chunks: (Vec<Vec<u32>>, Vec<Vec<[u32; 2]>>) = (0..self.tets.len().div_ceil(CHUNK))
             .into_par_iter()
             .map(|c| {
+                let (mut red, mut edges) = (Vec::new(), Vec::new());
                 let range = c * CHUNK..((c + 1) * CHUNK).min(self.tets.len());
-                range.filter(|t| has_to(*t)).map(|t| t as u32).collect()
+                for t in range.filter(|t| self.levels[*t] < self.deepest && is_candidate(*t)) {
+                    let tet = &self.tets[t];
+                    let (mask, middles) = self.split_edges(tet);
+                    if self.must_be_red(tet, mask, &middles) {
+                        red.push(t as u32);
+                        continue;
+                    }
+                    let missing = missing_long_edges(mask);
+                    edges.extend((0..6).filter(|e| missing >> e & 1 == 1).map(|e| TET_EDGES[e].map(|v| tet[v])));
+                }
+                (red, edges)
             })
-            .collect();
-        chunks.concat()
+            .unzip();
+        (chunks.0.concat(), chunks.1.concat())
     }
 
     /// Which edges are split, and at which vertices.
@@ -173,12 +212,11 @@ impl<'a> RedGreenLattice<'a> {
         (mask, middles)
     }
 
-    fn must_be_red(&self, tet: &[u32; 4]) -> bool {
-        let (mask, middles) = self.split_edges(tet);
+    fn must_be_red(&self, tet: &[u32; 4], mask: u8, middles: &[u32; 6]) -> bool {
         if mask == 0 {
             return false;
         }
-        if green_children(mask).is_none() {
+        if mask == ALL_EDGES || (self.closure == Closure::Uniform && !is_regular(mask)) {
             return true;
         }
         let split_again = |e: usize| {
@@ -186,16 +224,13 @@ impl<'a> RedGreenLattice<'a> {
             let m = middles[e];
             self.vertices.middle(tet[a], m).is_some() || self.vertices.middle(m, tet[b]).is_some()
         };
-        if (0..6).any(|e| mask >> e & 1 == 1 && split_again(e)) {
-            return true;
-        }
-        if mask.count_ones() != 3 {
-            return false;
-        }
         // Three edges of a face: its middle triangle belongs to a child of the neighbour, which may be split as well.
-        let mut ring = middles.into_iter().filter(|m| *m != u32::MAX);
-        let [a, b, c] = [(); 3].map(|()| ring.next().expect("three bits of the mask are set"));
-        [(a, b), (b, c), (a, c)].iter().any(|(a, b)| self.vertices.middle(*a, *b).is_some())
+        let ring_split = |[a, b, c]: [usize; 3]| {
+            let [a, b, c] = [middles[a], middles[b], middles[c]];
+            let whole = [a, b, c].iter().all(|m| *m != u32::MAX);
+            whole && [(a, b), (b, c), (a, c)].iter().any(|(a, b)| self.vertices.middle(*a, *b).is_some())
+        };
+        (0..6).any(|e| mask >> e & 1 == 1 && split_again(e)) || FACE_EDGES.into_iter().any(ring_split)
     }
 
     /// Replaces split leaves by their children; tells which leaves are new.
@@ -306,11 +341,19 @@ mod tests {
     use crate::image::distance_transform::distance_to_other_labels;
     use crate::image::grid::Grid;
     use crate::image::label_image::LabelImage;
+    use crate::lattice::face_adjacency::neighbors_of;
     use glam::DMat3;
 
     /// Marks leaves at random over several rounds: whatever edges are split, every leaf has a template afterwards.
     #[test]
     fn random_marks_always_close() {
+        let uniform = elements_of_random_marks(Closure::Uniform);
+        let local = elements_of_random_marks(Closure::Local);
+        assert!(2 * local < uniform, "{local} and {uniform}");
+    }
+
+    /// Refines with marks at random; returns the number of elements of all lattices.
+    fn elements_of_random_marks(closure: Closure) -> usize {
         let grid = Grid::new([16; 3], DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).unwrap();
         let at = |i: usize| DVec3::new((i % 16) as f64, (i / 16 % 16) as f64, (i / 256) as f64);
         let inside = |i: usize| u16::from(at(i).distance(DVec3::splat(7.3)) < 5.2);
@@ -318,10 +361,14 @@ mod tests {
         let image = LabelImage::new(grid, voxels, vec![0, 1]).unwrap();
         let context = RunContext::with_threads(1).unwrap();
         let distance = distance_to_other_labels(&image, &context).unwrap();
+        let mut count = 0;
         for seed in 0..20u64 {
             let frame = LatticeFrame::new(&image, 5.0).unwrap();
             let field = Field::new(&image, &distance);
             let mut lattice = RedGreenLattice::new(frame, field, 1 << 22, &context).unwrap();
+            if closure == Closure::Local {
+                lattice.close_locally();
+            }
             let mut state = 0x9e37_79b9_7f4a_7c15u64.wrapping_mul(seed + 1);
             for _ in 0..4 {
                 let marked: Vec<bool> = (0..lattice.tets.len())
@@ -333,7 +380,13 @@ mod tests {
                 lattice.refine(&marked, &context).unwrap();
                 let elements = lattice.elements(&context).unwrap();
                 assert!(elements.tets.len() >= lattice.tets.len(), "seed {seed}");
+                neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap();
+                // No vertex hangs in the middle of an edge.
+                let edges = |tet: &[u32; 4]| TET_EDGES.map(|edge| edge.map(|v| tet[v]));
+                assert!(elements.tets.iter().flat_map(edges).all(|[a, b]| lattice.vertices.middle(a, b).is_none()));
             }
+            count += lattice.elements(&context).unwrap().tets.len();
         }
+        count
     }
 }
