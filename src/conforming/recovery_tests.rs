@@ -52,6 +52,33 @@ fn strips_of_1_to_3600_need_few_points() {
     }
 }
 
+/// A box cut into slender prisms: `count` strips below and above, fans at both ends. Of two neighbouring prisms the
+/// diagonals of the wall between them agree, or neither has tets.
+fn drum(count: u32, width: f64) -> SurfaceMesh {
+    let side = |z: f64| (0..=count).map(move |i| DVec3::new(0.0, f64::from(i) * width, z));
+    let top: Vec<DVec3> = side(0.5).collect();
+    let ring: Vec<DVec3> = side(0.0).chain(top.into_iter().rev()).collect();
+    let m = ring.len() as u32;
+    let mut points = ring.clone();
+    points.extend(ring.iter().map(|p| *p + DVec3::X));
+    let middle = DVec3::new(0.0, 0.5 * f64::from(count) * width, 0.25);
+    points.extend([middle, middle + DVec3::X]);
+    let mut facets = Vec::new();
+    for i in 0..m {
+        let j = (i + 1) % m;
+        facets.extend([[i, j, m + j], [i, m + j, m + i], [2 * m, j, i], [2 * m + 1, m + i, m + j]]);
+    }
+    SurfaceMesh::new(points, facets.into_iter().map(|f| f.map(VertexId)).collect())
+}
+
+#[test]
+fn a_drum_of_slender_prisms_needs_no_point() {
+    for (count, width) in [(22, 1e-3), (40, 1.0 / 3600.0)] {
+        assert_eq!(recovered(&drum(count, width)), 0, "{count} strips of {width}");
+        assert_eq!(recovered(&mapped(&drum(count, width), turned)), 0, "{count} strips of {width}, turned");
+    }
+}
+
 /// Out of the axes: points of one plane lie on it by rounding only.
 fn turned(point: DVec3) -> DVec3 {
     DQuat::from_euler(EulerRot::XYZ, 0.3, 0.7, 1.1) * point

@@ -69,7 +69,18 @@ pub fn plan_removal(mesh: &ConstrainedMesh, u: VertexId, v: VertexId, limit: usi
         return None;
     }
     let (old, ring) = ring_of(mesh, u, v, limit)?;
-    plan_ring([u, v], mesh, &old, &ring, (None, None))
+    let ears = ears_of(mesh, [u, v], &ring);
+    plan_ring([u, v], mesh, &old, (&ring, &ears), (None, None))
+}
+
+/// For each vertex p of the ring of u v, with its neighbours o and q, whether the tets o p q v and o q p u are positive.
+fn ears_of(mesh: &ConstrainedMesh, [u, v]: [VertexId; 2], ring: &[VertexId]) -> Vec<[bool; 2]> {
+    let n = ring.len();
+    let ear = |i: usize| {
+        let (o, p, q) = (ring[(i + n - 1) % n], ring[i], ring[(i + 1) % n]);
+        [mesh.orient([o, p, q, v]) > 0.0, mesh.orient([o, q, p, u]) > 0.0]
+    };
+    (0..n).map(ear).collect()
 }
 
 /// Where a span of the ring is cut, and the worst shape that leaves.
@@ -88,27 +99,29 @@ fn meets_aim(mesh: &ConstrainedMesh, aim: Option<[VertexId; 2]>, face: [VertexId
 }
 
 /// The triangulation of the ring with the best worst tet, all positive, without a new face that the segment `aim` meets;
-/// with the triangle at the vertex `ear` and its two neighbours.
+/// with the triangle at the vertex `ear` and its two neighbours. `ears` is that of [`ears_of`].
 fn plan_ring(
     [u, v]: [VertexId; 2],
     mesh: &ConstrainedMesh,
     old: &[TetId],
-    ring: &[VertexId],
+    (ring, ears): (&[VertexId], &[[bool; 2]]),
     (aim, ear): (Option<[VertexId; 2]>, Option<VertexId>),
 ) -> Option<Plan> {
     let n = ring.len();
-    if n < 3 {
+    // Every triangulation of a polygon has two ears, and a triangle three.
+    let (valid, wanted) = (ears.iter().filter(|ear| **ear == [true; 2]).count(), if n == 3 { 3 } else { 2 });
+    let ear_at = ear.map(|ear| ring.iter().position(|&p| p == ear));
+    if n < 3 || valid < wanted || ear_at.is_some_and(|at| at.is_none_or(|at| ears[at] != [true; 2])) {
         return None;
     }
     let met = |face: [VertexId; 3]| meets_aim(mesh, aim, face);
     let from = usize::from(ear.is_some());
     let rotated: Vec<VertexId>;
-    let ring = match ear.and_then(|ear| ring.iter().position(|&p| p == ear)) {
+    let ring = match ear_at.flatten() {
         Some(at) => {
             rotated = ring[at..].iter().chain(&ring[..at]).copied().collect();
             &rotated
         }
-        None if from == 1 => return None,
         None => ring,
     };
     let none = Cut { shape: 0.0, middle: usize::MAX };
@@ -146,11 +159,10 @@ fn plan_ring(
     let mut new = Vec::with_capacity(2 * n - 4);
     if from == 1 {
         let (p, q, r) = (ring[0], ring[1], ring[n - 1]);
-        let tets = [[p, q, r, v], [p, r, q, u]];
-        if tets.iter().any(|&tet| mesh.orient(tet) <= 0.0) || met([p, q, r]) {
+        if met([p, q, r]) {
             return None;
         }
-        new.extend(tets);
+        new.extend([[p, q, r, v], [p, r, q, u]]);
     }
     let mut stack = vec![(from, n - 1)];
     while let Some((i, k)) = stack.pop() {
@@ -302,21 +314,32 @@ impl Removal<'_> {
                 return Ok(false);
             }
             is_first = false;
-            if let Some(plan) = plan_ring(edge, mesh, &old, &ring, (self.reach.aim, ear)) {
+            let ears = ears_of(mesh, edge, &ring);
+            if let Some(plan) = plan_ring(edge, mesh, &old, (&ring, &ears), (self.reach.aim, ear)) {
                 if self.journal.commit(mesh, &plan)? {
                     return Ok(true);
                 }
                 break;
             }
-            let shorter = self.cut_ears(mesh, edge, &old, &ring, &taken)?;
-            let (old, ring) = match shorter {
-                None => (old, ring),
+            // A shorter ring needs an ear; without one only its spokes are left.
+            let shorter = match ears.contains(&[true; 2]) {
+                true => self.cut_ears(mesh, edge, &old, &ring, &taken)?,
+                false => None,
+            };
+            if self.open.len() >= self.reach.depth {
+                break;
+            }
+            let (old, ring, ears) = match shorter {
+                None => (old, ring, ears),
                 Some(start) => match ring_from(mesh, start, self.reach.ring) {
-                    Some(shorter) => shorter,
+                    Some((old, ring)) => {
+                        let ears = ears_of(mesh, edge, &ring);
+                        (old, ring, ears)
+                    }
                     None => break,
                 },
             };
-            if self.open.len() >= self.reach.depth || !self.remove_spoke(mesh, edge, &old, &ring)? {
+            if !self.remove_spoke(mesh, edge, &old, (&ring, &ears))? {
                 break;
             }
             match shell_start(mesh, edge, &old) {
@@ -390,24 +413,22 @@ impl Removal<'_> {
         mesh: &mut ConstrainedMesh,
         [u, v]: [VertexId; 2],
         old: &[TetId],
-        ring: &[VertexId],
+        (ring, ears): (&[VertexId], &[[bool; 2]]),
     ) -> Result<bool> {
         let n = ring.len();
         for i in 0..n {
-            let [before, p, after] = [ring[(i + n - 1) % n], ring[i], ring[(i + 1) % n]];
+            let [p, after] = [ring[i], ring[(i + 1) % n]];
+            // The ring could do without p but for an edge from p to an end that is in the way.
+            let end = match ears[i] {
+                [true, false] => u,
+                [false, true] => v,
+                _ => continue,
+            };
             // An attempt that failed may have changed what lies around the ring, but not the shell.
             let row = mesh.complex.vertices(old[i]);
             if !mesh.complex.is_live(old[i]) || ![u, v, p, after].iter().all(|w| row.contains(w)) {
                 continue;
             }
-            // The ring could do without p but for an edge from p to an end that is in the way.
-            let at_v = mesh.orient([before, p, after, v]) <= 0.0;
-            let at_u = mesh.orient([before, after, p, u]) <= 0.0;
-            let end = match (at_u, at_v) {
-                (true, false) => u,
-                (false, true) => v,
-                _ => continue,
-            };
             if *self.tries == 0 {
                 break;
             }

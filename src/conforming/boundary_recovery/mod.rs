@@ -95,12 +95,19 @@ fn efforts(options: &Options) -> [Effort; 4] {
     ]
 }
 
-/// The passes over missing edges: flips only, ever deeper. Each pass finds the mesh changed by the one before.
+/// The passes over missing edges: flips only, ever deeper. Each pass finds the mesh changed by the one before. The last
+/// one is bounded by its tries alone: along a row of slender prisms one diagonal may have to follow the other.
 fn edge_efforts(options: &Options) -> Vec<Effort> {
     let deepest = 4 * options.recursion_depth;
     let flips = Effort { tries: TRIES, tets: 0, everywhere: false, ..efforts(options)[0] };
-    let mut passes: Vec<Effort> = (0..=deepest).map(|depth| Effort { depth, ..flips }).collect();
-    passes.push(Effort { depth: deepest, everywhere: true, ..flips });
+    let mut passes = vec![flips];
+    let (mut depth, mut step) = (1, 1);
+    while depth < deepest {
+        passes.push(Effort { depth, ..flips });
+        (depth, step) = (depth + step, depth);
+    }
+    passes.push(Effort { depth: deepest, ..flips });
+    passes.push(Effort { depth: TRIES, everywhere: true, ..flips });
     passes
 }
 

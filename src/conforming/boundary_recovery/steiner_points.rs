@@ -10,7 +10,7 @@
 //! [Bowyer1981], [Watson1981] for the cavity; [GeorgeBorouchaki2003] for points on constraints.
 
 use glam::DVec3;
-use rustc_hash::FxHashSet;
+use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey};
 use super::crossings::{Crossing, Path, tets_across, tets_along, trace};
@@ -22,6 +22,8 @@ use crate::mesh::tet_store::TetStore;
 
 /// Repairs of a cavity before the insertion is given up.
 const MOST_REPAIRS: usize = 200;
+/// Tets that stay in a cavity whatever the point sees, beyond which the insertion is given up.
+const MOST_FORCED: usize = 60;
 
 /// Puts a point on a missing segment where it crosses the mesh; its vertex, or `None` where none could be inserted.
 ///
@@ -199,31 +201,37 @@ pub fn insert_point(mesh: &mut ConstrainedMesh, point: DVec3, hint: TetId) -> Re
 fn star_cavity(mesh: &ConstrainedMesh, point: DVec3, host: TetId) -> Option<Vec<TetId>> {
     let mut banned: FxHashSet<TetId> = FxHashSet::default();
     let mut forced: Vec<TetId> = vec![host];
+    let mut conflicts: FxHashMap<TetId, bool> = FxHashMap::default();
     for _ in 0..MOST_REPAIRS {
-        let cavity = conflict_region(mesh, point, &forced, &banned);
-        match first_fault(mesh, point, &cavity) {
-            None => return Some(cavity),
-            Some((tet, beyond)) => {
-                // A tet that contains the point has to stay: its neighbour joins instead.
-                if !forced.contains(&tet) {
-                    banned.insert(tet);
-                } else if let Some(beyond) = beyond {
-                    if forced.len() > 60 {
-                        return None;
-                    }
-                    banned.remove(&beyond);
-                    forced.push(beyond);
-                } else {
-                    return None;
-                }
-            }
+        let cavity = conflict_region(mesh, point, (&forced, &banned), &mut conflicts);
+        let faults = faults_of(mesh, point, &cavity);
+        if faults.is_empty() {
+            return Some(cavity);
         }
+        // A face that the point does not see stays on the border when others go: all such tets go at once.
+        let count = banned.len();
+        banned.extend(faults.iter().map(|(tet, _)| *tet).filter(|tet| !forced.contains(tet)));
+        if banned.len() > count {
+            continue;
+        }
+        // A tet that contains the point has to stay: its neighbour joins instead.
+        let beyond = faults[0].1?;
+        if forced.len() > MOST_FORCED {
+            return None;
+        }
+        banned.remove(&beyond);
+        forced.push(beyond);
     }
     None
 }
 
 /// Tets reachable from `forced` whose circumsphere contains the point.
-fn conflict_region(mesh: &ConstrainedMesh, point: DVec3, forced: &[TetId], banned: &FxHashSet<TetId>) -> Vec<TetId> {
+fn conflict_region(
+    mesh: &ConstrainedMesh,
+    point: DVec3,
+    (forced, banned): (&[TetId], &FxHashSet<TetId>),
+    conflicts: &mut FxHashMap<TetId, bool>,
+) -> Vec<TetId> {
     let mut cavity = forced.to_vec();
     let mut seen: FxHashSet<TetId> = forced.iter().copied().collect();
     let mut next = 0;
@@ -242,7 +250,7 @@ fn conflict_region(mesh: &ConstrainedMesh, point: DVec3, forced: &[TetId], banne
             }
             let [a, b, c, d] = mesh.complex.points_of(beyond);
             seen.insert(beyond);
-            if insphere(a, b, c, d, point) > 0.0 {
+            if *conflicts.entry(beyond).or_insert_with(|| insphere(a, b, c, d, point) > 0.0) {
                 cavity.push(beyond);
             }
         }
@@ -250,9 +258,11 @@ fn conflict_region(mesh: &ConstrainedMesh, point: DVec3, forced: &[TetId], banne
     cavity
 }
 
-/// A tet with a boundary face that the point does not see from inside, or that swallows a segment; and what could join.
-fn first_fault(mesh: &ConstrainedMesh, point: DVec3, cavity: &[TetId]) -> Option<(TetId, Option<TetId>)> {
+/// The tets with a boundary face that the point does not see from inside, or one that swallows a segment; each with what
+/// could join.
+fn faults_of(mesh: &ConstrainedMesh, point: DVec3, cavity: &[TetId]) -> Vec<(TetId, Option<TetId>)> {
     let inside: FxHashSet<TetId> = cavity.iter().copied().collect();
+    let mut faults = Vec::new();
     for &tet in cavity {
         let v = mesh.complex.vertices(tet);
         for face in 0..4 {
@@ -264,14 +274,17 @@ fn first_fault(mesh: &ConstrainedMesh, point: DVec3, cavity: &[TetId]) -> Option
             let [a, b, c] = TET_FACES[face].map(|i| mesh.at(v[i]));
             if orient3d(a, b, c, point) >= 0.0 {
                 let open = other != TetFace::NONE && !mesh.is_subface(side) && !mesh.complex.is_ghost_tet(other.tet());
-                return Some((tet, open.then(|| other.tet())));
+                faults.push((tet, open.then(|| other.tet())));
+                break;
             }
         }
     }
-    let shape = mesh.shape_of(cavity);
-    let has = |tet: TetId, e: &EdgeKey| e.iter().all(|&v| mesh.complex.local_vertex(tet, v).is_some());
-    let edge = shape.segments.first()?;
-    // The last tet that has the segment: the first ones contain the point.
-    let tet = cavity.iter().rev().copied().find(|&tet| has(tet, edge))?;
-    Some((tet, None))
+    if faults.is_empty() {
+        let shape = mesh.shape_of(cavity);
+        let has = |tet: TetId, e: &EdgeKey| e.iter().all(|&v| mesh.complex.local_vertex(tet, v).is_some());
+        // The last tet that has the segment: the first ones contain the point.
+        let swallowed = shape.segments.first().and_then(|e| cavity.iter().rev().copied().find(|&tet| has(tet, e)));
+        faults.extend(swallowed.map(|tet| (tet, None)));
+    }
+    faults
 }
