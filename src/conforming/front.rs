@@ -14,7 +14,7 @@
 //! shuffled list does.
 //!
 //! # Invariants
-//! New tets are active: their marks are clear. The marks are user bits 0 and 1 of the tet flags.
+//! New tets are active: their marks are clear. The marks are user bits 0 to 2 of the tet flags.
 //!
 //! # Cost
 //! Linear in the tets that are new or woken, not in the mesh; the rule runs in parallel; deterministic.
@@ -26,13 +26,17 @@ use crate::geometry::tetrahedron::{edge_vectors, exceeds_angle};
 use crate::index::{TetFace, TetId};
 use crate::mesh::numbering::TET_EDGES;
 use crate::mesh::tet_complex::TetComplex;
-use crate::mesh::tet_store::TetStore;
+use crate::mesh::tet_store::{TetStore, has_ghost};
 
 /// The user bit that marks satisfied tets.
 pub const SATISFIED: usize = 0;
 /// The user bit of tets that rest: their candidates were inserted or found something too close, and so it will be until
 /// a neighbour becomes satisfied, because candidates depend on the front faces only and points that reject them stay.
 pub const RESTING: usize = 1;
+/// The user bit of tets with an edge that is not short enough: points will replace them. The second objective leaves them
+/// alone: long tets that are not Delaunay are not found by the cavities that should replace them, and ahead of a round
+/// front, where all vertices lie nearly on a sphere, a few of them spoil the whole volume.
+pub const UNSETTLED: usize = 2;
 /// Tets per parallel chunk.
 const CHUNK: usize = 1024;
 
@@ -73,6 +77,26 @@ impl Satisfaction {
 pub fn corner_sizes<S: TetStore + ?Sized>(store: &S, sizes: &[f64], tet: TetId) -> [f64; 4] {
     let [a, b, c, d] = store.vertices(tet);
     [sizes[a.index()], sizes[b.index()], sizes[c.index()], sizes[d.index()]]
+}
+
+/// Marks those of `tets` (any, also dead ones) with an edge that is too long; returns the others that are live.
+pub fn settled_of(complex: &mut TetComplex, sizes: &[f64], rule: Satisfaction, tets: &[TetId]) -> Vec<TetId> {
+    let reader = &*complex;
+    let is_short = |&tet: &TetId| {
+        let row = reader.vertices(tet);
+        let usable = reader.is_live(tet) && !has_ghost(row);
+        usable.then(|| rule.is_short(reader.corners(row), corner_sizes(reader, sizes, tet)))
+    };
+    let short: Vec<Option<bool>> = tets.par_iter().with_min_len(CHUNK).map(is_short).collect();
+    let mut settled = Vec::new();
+    for (&tet, short) in tets.iter().zip(short) {
+        match short {
+            Some(true) => settled.push(tet),
+            Some(false) => complex.set_flags(tet, complex.flags(tet).with_user_bit(UNSETTLED, true)),
+            None => {}
+        }
+    }
+    settled
 }
 
 /// Marks the satisfied tets of `active` and drops them, dead ones, repeated ones, ghosts and background from the list.

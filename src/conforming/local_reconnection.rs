@@ -87,6 +87,8 @@ pub struct Reconnector {
     pub counts: FlipCounts,
     /// Faces whose attempt lost a claim, to be tried again.
     pub lost: Vec<TetFace>,
+    /// The user bit of tets that objectives other than empty circumspheres leave alone.
+    pub spared: Option<usize>,
     stack: Vec<TetFace>,
 }
 
@@ -202,6 +204,11 @@ impl Reconnector {
     ) -> Result<Outcome> {
         self.counts.tried += 1;
         let mut outcome = self.plan_face(store, side, objective, four);
+        if let (Outcome::Accepted, Some(bit)) = (outcome, self.spared.filter(|_| objective != Objective::InSphere))
+            && self.scratch.plan.old.iter().any(|&tet| store.flags(tet).has_user_bit(bit))
+        {
+            outcome = Outcome::Constrained;
+        }
         if outcome == Outcome::Accepted && !self.commit(store)? {
             outcome = Outcome::ClaimLost; // to be finished when there is room again
         }

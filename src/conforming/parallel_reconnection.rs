@@ -30,6 +30,7 @@ use rayon::prelude::*;
 
 use super::flip_criteria::BiasedSine;
 use super::flips::{Accept, Outcome, plan_contraction};
+use super::front::UNSETTLED;
 use super::local_reconnection::{FlipCounts, FourFour, Objective, Reconnector};
 use super::options::Options;
 use super::sliver_removal::SliverScratch;
@@ -290,7 +291,9 @@ impl Driver {
         settings.transfer_share = options.transfer_fraction;
         settings.transfer_decay = options.transfer_reduction;
         // The points were sorted before they became vertices, and what they change follows their order.
-        Self::new(context, threads, settings, false)
+        let mut driver = Self::new(context, threads, settings, false);
+        driver.kits.iter_mut().for_each(|kit| kit.reconnector.spared = Some(UNSETTLED));
+        driver
     }
 
     /// The driver of quality improvement.

@@ -27,7 +27,7 @@ use std::time::Instant;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::front::{RESTING, SATISFIED, Satisfaction, corner_sizes, deactivate, rest, wake};
+use super::front::{RESTING, SATISFIED, Satisfaction, corner_sizes, deactivate, rest, settled_of, wake};
 use super::local_reconnection::{FlipCounts, FourFour, Objective};
 use super::options::Options;
 use super::parallel_reconnection::{Driver, Insert};
@@ -41,7 +41,7 @@ use crate::geometry::spatial_sort::{brio_order, hilbert_order};
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::size_field::{SizeField, average_edges};
 use crate::mesh::tet_complex::TetComplex;
-use crate::mesh::tet_store::{TetStore, has_ghost};
+use crate::mesh::tet_store::TetStore;
 use crate::statistics::Statistics;
 
 /// Memory a tet is taken to need in a run with refinement and improvement, bytes: an estimate from the rows of the mesh,
@@ -136,6 +136,8 @@ pub fn refine(
     complex.try_reserve_tets(options.reserved_elements.min((1.1 * predicted) as usize))?;
     let mut driver = Driver::for_refinement(options, context);
     let mut active: Vec<TetId> = complex.finite_tets().collect();
+    let satisfaction = Satisfaction::new(options.edge_satisfied_factor, options.satisfied_angle);
+    context.install(|| settled_of(complex, sizes, satisfaction, &active));
     let mut unused: Vec<VertexId> = Vec::new();
     let mut clearances = clearances(complex.points(), &boundary_triangles(complex), sizes, options.size_factor);
     let mut total = Round::default();
@@ -337,7 +339,7 @@ fn clear_marks(complex: &mut TetComplex) {
             continue;
         }
         let flags = complex.flags(tet);
-        complex.set_flags(tet, flags.with_user_bit(SATISFIED, false).with_user_bit(RESTING, false));
+        complex.set_flags(tet, flags.without_user_bits());
     }
 }
 
@@ -412,14 +414,7 @@ fn refine_round(
     };
     let repeats = if options.repeat_reconnection { usize::MAX } else { 1 };
     // Tets that still have a long edge will be replaced by points: the second objective is for those that may stay.
-    let settles = |tet: &TetId| {
-        let row = complex.vertices(*tet);
-        complex.is_live(*tet)
-            && !has_ghost(row)
-            && satisfaction.is_short(complex.corners(row), corner_sizes(complex, sizes, *tet))
-    };
-    let mut settled: Vec<TetId> =
-        context.install(|| fresh.par_iter().with_min_len(1024).copied().filter(|tet| settles(tet)).collect());
+    let mut settled = context.install(|| settled_of(complex, sizes, satisfaction, &fresh));
     let known = settled.len();
     driver.reconnect(complex, &mut settled, objective, four, repeats)?;
     round.flips = driver.take_counts();
