@@ -249,6 +249,8 @@ pub struct Reach {
     pub depth: usize,
     /// Most tets around an edge.
     pub ring: usize,
+    /// Where the search for an edge to the ring starts.
+    pub turn: usize,
     /// A segment that new faces keep clear of.
     pub aim: Option<[VertexId; 2]>,
 }
@@ -416,7 +418,8 @@ impl Removal<'_> {
         (ring, ears): (&[VertexId], &[[bool; 2]]),
     ) -> Result<bool> {
         let n = ring.len();
-        for i in 0..n {
+        let turn = self.reach.turn;
+        for i in (0..n).map(|i| (i + turn) % n) {
             let [p, after] = [ring[i], ring[(i + 1) % n]];
             // The ring could do without p but for an edge from p to an end that is in the way.
             let end = match ears[i] {

@@ -64,13 +64,15 @@ pub struct Effort {
     pub budget: usize,
     /// Whether cavities are enlarged.
     pub grow: bool,
+    /// Where edge removals start on a ring: other turns find other ways.
+    pub turn: usize,
     /// Whether everything that a missing edge crosses is tried, not only what lies next to its ends.
     pub everywhere: bool,
 }
 
 impl Effort {
     fn reach(&self, aim: Option<EdgeKey>) -> edge_removal::Reach {
-        edge_removal::Reach { depth: self.depth, ring: self.ring, aim }
+        edge_removal::Reach { depth: self.depth, ring: self.ring, turn: self.turn, aim }
     }
 }
 
@@ -79,8 +81,8 @@ fn efforts(options: &Options) -> [Effort; 4] {
     // Rings of vertices on needles are large: twice what the option says is still cheap.
     let (depth, ring) = (options.recursion_depth, 2 * options.edge_removal_limit);
     [
-        Effort { depth: 0, ring, tries: 0, tets: 12, steps: 60, budget: 500, grow: false, everywhere: true },
-        Effort { depth: 1, ring, tries: 50, tets: 12, steps: 60, budget: 500, grow: false, everywhere: true },
+        Effort { depth: 0, ring, tries: 0, tets: 12, steps: 60, budget: 500, grow: false, turn: 0, everywhere: true },
+        Effort { depth: 1, ring, tries: 50, tets: 12, steps: 60, budget: 500, grow: false, turn: 0, everywhere: true },
         Effort {
             depth: depth.min(3),
             ring,
@@ -89,9 +91,20 @@ fn efforts(options: &Options) -> [Effort; 4] {
             steps: 150,
             budget: 900,
             grow: false,
+            turn: 0,
             everywhere: true,
         },
-        Effort { depth, ring, tries: 300, tets: 30, steps: 2000, budget: 12_000, grow: true, everywhere: true },
+        Effort {
+            depth,
+            ring,
+            tries: 300,
+            tets: 30,
+            steps: 2000,
+            budget: 12_000,
+            grow: true,
+            turn: 0,
+            everywhere: true,
+        },
     ]
 }
 
@@ -108,6 +121,9 @@ fn edge_efforts(options: &Options) -> Vec<Effort> {
     }
     passes.push(Effort { depth: deepest, ..flips });
     passes.push(Effort { depth: TRIES, everywhere: true, ..flips });
+    let turns = (1..=MOST_TURNS).flat_map(|turn| passes.iter().map(move |effort| Effort { turn, ..*effort }));
+    let turned: Vec<Effort> = turns.collect();
+    passes.extend(turned);
     passes
 }
 
@@ -116,6 +132,10 @@ const TRIES: usize = 300;
 
 /// Edges or faces that get the largest effort before they are split.
 const MOST_HARD: usize = 4;
+
+/// Turns in which the passes are repeated for few edges: on grids, where diagonals wait for each other, an edge that one
+/// order does not recover is often recovered by another.
+const MOST_TURNS: usize = 8;
 
 /// Passes in a row without an edge recovered, after which deeper ones are not tried.
 const MOST_FRUITLESS: usize = 3;
@@ -212,13 +232,14 @@ fn recover_all_edges(
     context: &RunContext,
 ) -> Result<()> {
     for _ in 0..MOST_ROUNDS {
-        let hardest = efforts.last().filter(|_| missing.len() <= MOST_HARD);
         let mut fruitless = 0;
-        for effort in edge_efforts.iter().chain(hardest) {
+        for effort in edge_efforts.iter().chain(efforts.last()) {
             if missing.is_empty() {
                 return Ok(());
             }
-            if fruitless == MOST_FRUITLESS && !effort.everywhere {
+            let is_few = missing.len() <= MOST_HARD;
+            let is_shown_fruitless = fruitless >= MOST_FRUITLESS && !effort.everywhere && effort.turn == 0;
+            if is_shown_fruitless || ((effort.turn > 0 || effort.tets > 0) && !is_few) {
                 continue;
             }
             let before = missing.len();

@@ -138,7 +138,7 @@ pub fn thin_ball(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effort) 
             if let Some(plan) = plan_removal(mesh, vertex, other, effort.ring) {
                 thinned |= mesh.replace(&plan.old, &plan.new)?.is_some();
             } else if effort.depth > 0 {
-                let reach = Reach { depth: effort.depth.min(2), ring: effort.ring, aim: None };
+                let reach = Reach { depth: effort.depth.min(2), ring: effort.ring, turn: 0, aim: None };
                 thinned |=
                     remove_edge(mesh, ([vertex, other], TetId::NONE), reach, &mut tries, &mut Journal::default())?;
             }
