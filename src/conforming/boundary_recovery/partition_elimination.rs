@@ -15,7 +15,9 @@
 //!
 //! In floating point s lies beside its edge by rounding. In a plane of long thin facets an edge of the mesh may then pass
 //! between s and the edge: the sector is flat there, and no number lies between its faces. Tets beyond join such a
-//! sector until a place above the whole faces sees all of the border (`grown_sector`).
+//! sector until a place above the whole faces sees all of the border (`grown_sector`), close above where edges of the link
+//! cross the facets, and in front of the walls that hid other places (`place_among_walls`). What still stands in the way
+//! are edges and points of the volume in the plane of the facets: these are bent off it (`undo_after_lifting`).
 //!
 //! # Source
 //! [Drakopoulos2017] 4.6.2, [GeorgeBorouchaki2003]; filling a sector without a point first: ours.
@@ -32,11 +34,13 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use super::Effort;
 use super::cavity_filling::fill_cavity;
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey, Split, edge_key, face_key};
-use super::edge_removal::{Journal, remove_edge};
-use super::steiner_removal::thin_ball;
+use super::edge_removal::{Journal, remove_edge, ring_of};
+use super::steiner_removal::{center, thin_ball};
+use super::volume_points::closest_points;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::geometry::predicates::orient3d;
+use crate::geometry::segment::squared_distance;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::{TET_EDGES, TET_FACES};
 use crate::mesh::tet_store::TetStore;
@@ -55,6 +59,17 @@ const ASIDE: [f64; 5] = [0.1, 0.3, 0.5, 0.7, 0.9];
 
 /// Most tets of a sector whose link is loosened.
 const MOST_FLAT: usize = 6;
+
+/// Edges of a link above which places are tried.
+const MOST_CROSSING: usize = 4;
+
+/// Constraints that a place above a flat sector is moved in front of.
+const MOST_WALLS: usize = 12;
+
+/// Edges bent off the plane of one split.
+const MOST_LIFTED: usize = 20;
+/// Share of an edge by which it is bent off the plane at least: far above rounding.
+const LEAST_LIFT: f64 = 1e-9;
 
 /// Places tried on a split segment.
 const SLIDE_PLACES: usize = 50;
@@ -84,7 +99,10 @@ pub fn eliminate_partitions(
             }
             thin_ball(mesh, steiner, effort)?;
             slide(mesh, steiner, &split);
-            if !undo(mesh, steiner, &split, volume)? && !undo_after_loosening(mesh, steiner, &split, effort, volume)? {
+            let undone = undo(mesh, steiner, &split, volume)?
+                || undo_after_loosening(mesh, steiner, &split, effort, volume)?
+                || (effort.grow && undo_after_lifting(mesh, steiner, &split, volume)?);
+            if !undone {
                 kept.push((steiner, split));
             }
         }
@@ -128,6 +146,123 @@ fn undo_after_loosening(
         }
     }
     Ok(false)
+}
+
+/// Gets a facet's plane clear of what lies in it by rounding, until the split can be undone: points of the volume move to
+/// the depth of their balls, and edges of the link of a flat sector are split and bent off the plane. The new point sees
+/// the ring of such an edge strictly from where it starts, so that there is always a place off the edge.
+fn undo_after_lifting(
+    mesh: &mut ConstrainedMesh,
+    steiner: VertexId,
+    split: &Split,
+    volume: &mut Vec<VertexId>,
+) -> Result<bool> {
+    let whole: FxHashMap<FaceKey, [VertexId; 3]> =
+        parts_of(steiner, split).iter().map(|&(key, face, _)| (key, face)).collect();
+    for _ in 0..MOST_LIFTED {
+        let ball = mesh.ball(steiner);
+        let Some(sectors) = sectors_of(mesh, steiner, &ball, &whole) else { return Ok(false) };
+        for vertex in sectors.iter().flat_map(|sector| sector.front.iter().flatten().copied()) {
+            if volume.contains(&vertex) {
+                center(mesh, vertex);
+            }
+        }
+        if undo(mesh, steiner, split, volume)? {
+            return Ok(true);
+        }
+        let place = mesh.at(steiner);
+        let mut lifted = None;
+        for sector in &sectors {
+            let faces: Vec<[DVec3; 3]> = sector.front.iter().map(|f| f.map(|v| mesh.at(v))).collect();
+            if kernel_point(&faces, place, sector.inward).is_some() {
+                continue;
+            }
+            for edge in crossing_edges(mesh, place, sector) {
+                let direction = sector.inward.normalize_or_zero();
+                lifted = lift_edge(mesh, edge, (place, direction), &mut Vec::new())?;
+                if lifted.is_some() {
+                    break;
+                }
+            }
+            break;
+        }
+        let Some(lifted) = lifted else { return Ok(false) };
+        volume.push(lifted);
+    }
+    undo(mesh, steiner, split, volume)
+}
+
+/// The edges of the link of a sector that are neither constraints nor edges of its whole faces, those that pass nearest
+/// to an edge of these or to the Steiner point first.
+fn crossing_edges(mesh: &ConstrainedMesh, place: DVec3, sector: &Sector) -> Vec<EdgeKey> {
+    let edges_of = |faces: &mut dyn Iterator<Item = [VertexId; 3]>| -> Vec<EdgeKey> {
+        let mut edges: Vec<EdgeKey> =
+            faces.flat_map(|[a, b, c]| [edge_key(a, b), edge_key(b, c), edge_key(a, c)]).collect();
+        edges.sort_unstable();
+        edges.dedup();
+        edges
+    };
+    let closing = edges_of(&mut sector.closing.iter().copied());
+    let distance = |edge: &EdgeKey| {
+        let ends = edge.map(|v| mesh.at(v));
+        let others = closing.iter().filter(|other| other.iter().all(|v| !edge.contains(v)));
+        let ways = others.map(|other| {
+            let [p, q] = closest_points(ends, other.map(|v| mesh.at(v)));
+            p.distance_squared(q)
+        });
+        ways.fold(squared_distance(place, ends[0], ends[1]), f64::min)
+    };
+    let link = edges_of(&mut sector.link.iter().map(|(_, face)| *face));
+    let free = link.into_iter().filter(|e| !mesh.is_segment(e[0], e[1]) && !closing.contains(e));
+    let mut edges: Vec<(f64, EdgeKey)> = free.map(|edge| (distance(&edge), edge)).collect();
+    edges.sort_by(|l, r| l.0.total_cmp(&r.0).then(l.1.cmp(&r.1)));
+    edges.into_iter().map(|(_, edge)| edge).collect()
+}
+
+/// Splits an edge and moves the new vertex off it, where its ring has most room. Flat tets of the ring leave none: then the
+/// edges opposite in these, which lie above it, are lifted instead; the topmost has room.
+fn lift_edge(
+    mesh: &mut ConstrainedMesh,
+    edge: EdgeKey,
+    (near, direction): (DVec3, DVec3),
+    open: &mut Vec<EdgeKey>,
+) -> Result<Option<VertexId>> {
+    open.push(edge);
+    let Some((ring, _)) = ring_of(mesh, edge[0], edge[1], MOST_GROWN) else { return Ok(None) };
+    let front = mesh.shape_of(&ring).front;
+    let faces: Vec<[DVec3; 3]> = front.iter().map(|f| f.map(|v| mesh.at(v))).collect();
+    let ends = edge.map(|v| mesh.at(v));
+    let [start, _] = closest_points(ends, [near, near + direction]);
+    let least = LEAST_LIFT * ends[0].distance(ends[1]);
+    let place = kernel_point(&faces, start, direction).filter(|x| (*x - start).dot(direction) > least);
+    let Some(place) = place else {
+        let is_near = |x: DVec3| (x - start).dot(direction).abs() <= least;
+        for tet in ring {
+            let row = mesh.complex.vertices(tet);
+            let others: Vec<VertexId> = row.into_iter().filter(|v| !edge.contains(v)).collect();
+            let opposite = edge_key(others[0], others[1]);
+            let is_flat = others.iter().all(|&v| is_near(mesh.at(v)));
+            if is_flat
+                && open.len() < MOST_LIFTED
+                && !open.contains(&opposite)
+                && !mesh.is_segment(opposite[0], opposite[1])
+            {
+                let lifted = lift_edge(mesh, opposite, (near, direction), open)?;
+                if lifted.is_some() {
+                    return Ok(lifted);
+                }
+            }
+        }
+        return Ok(None);
+    };
+    let count = mesh.complex.points().len();
+    let vertex = mesh.complex.push_point(place)?;
+    let new: Vec<[VertexId; 4]> = front.iter().map(|&[a, b, c]| [a, b, c, vertex]).collect();
+    if mesh.replace(&ring, &new)?.is_none() {
+        mesh.complex.truncate_points(count);
+        return Ok(None);
+    }
+    Ok(Some(vertex))
 }
 
 /// The subfaces a split made, each with the whole face it is part of and the facet.
@@ -223,37 +358,84 @@ fn grown_sector(
     let mut corners: Vec<VertexId> = corners.into_iter().collect();
     corners.sort_unstable();
     let aside = corners.iter().flat_map(|&v| ASIDE.map(|share| (mesh.at(v) - start) * share));
-    let feet = std::iter::once(DVec3::ZERO).chain(aside);
-    for foot in feet {
-        for i in 1..GROWTH_PLACES {
-            let place = start + foot + direction * (size * 0.5_f64.powi(i));
-            let Some((tets, front)) = grow_to(mesh, place, sector, old) else { continue };
-            // Points of the volume may go with their balls, others not.
-            let kept: FxHashSet<VertexId> = front.iter().flatten().copied().collect();
-            let mut corners = tets.iter().flat_map(|&tet| mesh.complex.vertices(tet));
-            if corners.any(|v| v != steiner && !kept.contains(&v) && !volume.contains(&v)) {
-                continue;
-            }
-            old.extend(tets);
-            return Some((place, front));
+    // A place close above such an edge sees all around it.
+    let above = feet_on_crossing_edges(mesh, start, sector).into_iter().map(|foot| foot - start);
+    let feet = std::iter::once(DVec3::ZERO).chain(aside).chain(above);
+    let places =
+        feet.flat_map(|foot| (1..GROWTH_PLACES).map(move |i| start + foot + direction * (size * 0.5_f64.powi(i))));
+    let grown = |place: DVec3| {
+        let (tets, front) = grow_to(mesh, place, sector, old)?;
+        // Points of the volume may go with their balls, others not.
+        let kept: FxHashSet<VertexId> = front.iter().flatten().copied().collect();
+        let mut corners = tets.iter().flat_map(|&tet| mesh.complex.vertices(tet));
+        let loses = corners.any(|v| v != steiner && !kept.contains(&v) && !volume.contains(&v));
+        if loses { Err(None) } else { Ok((place, tets, front)) }
+    };
+    let found = { places }.find_map(|place| grown(place).ok());
+    let found = found.or_else(|| {
+        (1..GROWTH_PLACES).find_map(|i| place_among_walls(mesh, sector, (start, size * 0.5_f64.powi(i)), grown))
+    });
+    let (place, tets, front) = found?;
+    old.extend(tets);
+    Some((place, front))
+}
+
+/// A place, the tets that join a sector for it, and the border it sees.
+type Grown = (DVec3, Vec<TetId>, Vec<[VertexId; 3]>);
+
+/// A place below a height that sees the whole faces and every constraint that stood in the way of the places before it.
+fn place_among_walls(
+    mesh: &ConstrainedMesh,
+    sector: &Sector,
+    (start, height): (DVec3, f64),
+    grown: impl Fn(DVec3) -> std::result::Result<Grown, Option<[VertexId; 3]>>,
+) -> Option<Grown> {
+    let direction = sector.inward.normalize_or_zero();
+    let (across, along) = direction.any_orthonormal_pair();
+    let top = start + direction * height;
+    // Turned so that what lies below the ceiling sees it.
+    let mut wanted = vec![[top, top + along, top + across]];
+    wanted.extend(sector.closing.iter().map(|f| f.map(|v| mesh.at(v))));
+    for _ in 0..MOST_WALLS {
+        let place = kernel_point(&wanted, start + direction * (0.5 * height), direction)?;
+        match grown(place) {
+            Ok(found) => return Some(found),
+            Err(wall) => wanted.push(wall?.map(|v| mesh.at(v))),
         }
     }
     None
 }
 
-/// The tets that join a sector so that the place sees its whole border, and that border.
+/// Where edges of the link of a sector pass edges of its whole faces.
+fn feet_on_crossing_edges(mesh: &ConstrainedMesh, place: DVec3, sector: &Sector) -> Vec<DVec3> {
+    let mut feet = Vec::new();
+    for edge in crossing_edges(mesh, place, sector).into_iter().take(MOST_CROSSING) {
+        let ends = edge.map(|v| mesh.at(v));
+        for &[a, b, c] in &sector.closing {
+            for other in [[a, b], [b, c], [c, a]] {
+                if other.iter().all(|v| !edge.contains(v)) {
+                    feet.push(closest_points(ends, other.map(|v| mesh.at(v)))[0]);
+                }
+            }
+        }
+    }
+    feet
+}
+
+/// The tets that join a sector so that the place sees its whole border, and that border; else the constraint that it does
+/// not see, if that is what stands in the way.
 fn grow_to(
     mesh: &ConstrainedMesh,
     place: DVec3,
     sector: &Sector,
     old: &[TetId],
-) -> Option<(Vec<TetId>, Vec<[VertexId; 3]>)> {
+) -> std::result::Result<(Vec<TetId>, Vec<[VertexId; 3]>), Option<[VertexId; 3]>> {
     let sees = |f: &[VertexId; 3]| {
         let [a, b, c] = f.map(|v| mesh.at(v));
         orient3d(a, b, c, place) > 0.0
     };
     if !sector.closing.iter().all(sees) {
-        return None;
+        return Err(None);
     }
     // Sides of tets outside, as seen from there; faces of the border by their keys.
     let mut border = sector.link.clone();
@@ -268,7 +450,7 @@ fn grow_to(
         let tet = side.tet();
         let free = side != TetFace::NONE && !mesh.is_subface(side) && !mesh.complex.is_ghost_tet(tet);
         if !free || tets.len() == MOST_GROWN || old.contains(&tet) || tets.contains(&tet) {
-            return None;
+            return Err((side != TetFace::NONE && mesh.is_subface(side)).then_some(face));
         }
         tets.push(tet);
         border.retain(|(s, _)| s.tet() != tet);
@@ -295,7 +477,7 @@ fn grow_to(
         TET_EDGES.map(|[i, j]| edge_key(v[i], v[j]))
     });
     let swallows = lost.into_iter().any(|e| mesh.is_segment(e[0], e[1]) && !left.contains(&e));
-    (!swallows).then_some((tets, front))
+    if swallows { Err(None) } else { Ok((tets, front)) }
 }
 
 /// Moves the Steiner point along the segment or on the face it splits, to where its link is farthest.
@@ -453,4 +635,36 @@ pub fn kernel_point(faces: &[[DVec3; 3]], start: DVec3, direction: DVec3) -> Opt
         }
     }
     (best.0 || sees(best.2)).then_some(best.2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, tetrahedralize};
+    use crate::context::RunContext;
+
+    #[test]
+    fn a_place_above_a_flat_sector_goes_in_front_of_walls() {
+        let mut points = vec![DVec3::ZERO, DVec3::X, DVec3::Y];
+        points.extend([DVec3::X, DVec3::X + DVec3::Y, DVec3::X + DVec3::Z].map(|p| p * 0.3 + DVec3::Z * 1e-3));
+        points.extend([-1.0, 1.0].map(|z| DVec3::new(0.3, 0.2, z)));
+        let context = RunContext::with_threads(1).unwrap();
+        let options = DelaunayOptions { order: PointOrder::Input, ..Default::default() };
+        let complex = tetrahedralize(&points, &options, &context).unwrap().complex;
+        let mesh = ConstrainedMesh::new(complex, &[]);
+        let (whole, wall) = ([0, 1, 2].map(VertexId), [3, 4, 5].map(VertexId));
+        let sector = Sector { front: vec![], inward: DVec3::Z, tets: vec![], link: vec![], closing: vec![whole] };
+        let sees = |f: [VertexId; 3], x: DVec3| orient3d(mesh.at(f[0]), mesh.at(f[1]), mesh.at(f[2]), x) > 0.0;
+        let start = DVec3::new(0.1, 0.1, 0.0);
+        for height in [1.0, 1e-3, 1e-9] {
+            let grown = |x: DVec3| if sees(wall, x) { Ok((x, vec![], vec![])) } else { Err(Some(wall)) };
+            let (place, ..) = place_among_walls(&mesh, &sector, (start, height), grown).unwrap();
+            assert!(sees(whole, place) && place.x > 0.3 && place.z < height, "{height}: {place}");
+            // A wall that hides all places, or an obstacle that is none.
+            assert!(
+                place_among_walls(&mesh, &sector, (start, height), |_| Err(Some([2, 1, 0].map(VertexId)))).is_none()
+            );
+            assert!(place_among_walls(&mesh, &sector, (start, height), |_| Err(None)).is_none());
+        }
+    }
 }

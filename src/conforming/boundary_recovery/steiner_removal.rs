@@ -54,7 +54,7 @@ pub fn remove_steiner_points(
 }
 
 /// Moves a free vertex to the depth of its ball.
-fn center(mesh: &mut ConstrainedMesh, vertex: VertexId) {
+pub fn center(mesh: &mut ConstrainedMesh, vertex: VertexId) {
     let front = mesh.shape_of(&mesh.ball(vertex)).front;
     let faces: Vec<_> = front.iter().map(|f| f.map(|v| mesh.at(v))).collect();
     let old = mesh.at(vertex);

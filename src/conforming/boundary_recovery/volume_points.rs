@@ -124,7 +124,7 @@ fn places_between(mesh: &ConstrainedMesh, edge: EdgeKey, tets: &[TetId]) -> Vec<
 }
 
 /// Nearly the points of two segments that are closest to each other, off the ends.
-fn closest_points([a, b]: [DVec3; 2], [c, d]: [DVec3; 2]) -> [DVec3; 2] {
+pub fn closest_points([a, b]: [DVec3; 2], [c, d]: [DVec3; 2]) -> [DVec3; 2] {
     let (u, v, w) = (b - a, d - c, a - c);
     let (uu, uv, vv, uw, vw) = (u.dot(u), u.dot(v), v.dot(v), u.dot(w), v.dot(w));
     let inner = |share: f64| share.clamp(END_SHARE, 1.0 - END_SHARE);
