@@ -413,7 +413,8 @@ impl Driver {
     }
 
     /// Inserts vertices in this order, one round after the other, of which `ends` are the ends; returns those that were not
-    /// inserted. `fresh` gains the tets that are new.
+    /// inserted. `fresh` gains the tets that are new. The cavities of all rounds but the last are so large that threads would
+    /// only stand in each other's way: one thread makes them.
     ///
     /// # Errors
     /// [`crate::error::Error::Cancelled`], or what the store refuses.
@@ -428,7 +429,12 @@ impl Driver {
         let mut begin = 0;
         for &end in ends {
             let room = TETS_PER_INSERT * (end - begin);
-            self.run(complex, &InsertJob { clearances, rule }, inserts[begin..end].to_vec(), room)?;
+            let job = InsertJob { clearances, rule };
+            if end == inserts.len() {
+                self.run(complex, &job, inserts[begin..end].to_vec(), room)?;
+            } else {
+                self.run_alone(complex, &job, &inserts[begin..end])?;
+            }
             begin = end;
         }
         fresh.append(&mut self.finish_lost(complex, Objective::InSphere, FourFour::Off)?);
