@@ -268,7 +268,7 @@ impl Rounds<'_> {
         self.relabel_pinches(lattice, elements, &neighbors, before)?;
         let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
         let pinched = topology.pinched(&elements.labels);
-        let regions = regions_of(elements, &neighbors);
+        let regions = regions_of(&elements.labels, &neighbors);
         let surplus = surplus_of(&regions, &self.face_components(), labels);
         let mut marked = vec![false; lattice.tets.len()];
         if limit.rounds_left > 0 {
@@ -288,7 +288,7 @@ impl Rounds<'_> {
         let neighbors = self.carve_pinches(lattice, elements, neighbors)?;
         let vertices = lattice.vertices.positions.len();
         self.tell_topology(lattice, elements, &InterfaceTopology::new(&elements.tets, &neighbors, vertices));
-        self.tell_regions(&surplus_of(&regions_of(elements, &neighbors), &self.face_components(), labels));
+        self.tell_regions(&surplus_of(&regions_of(&elements.labels, &neighbors), &self.face_components(), labels));
         Ok(marked)
     }
 
@@ -310,7 +310,7 @@ impl Rounds<'_> {
             if pinched.is_empty() {
                 break;
             }
-            let regions = regions_of(elements, &neighbors);
+            let regions = regions_of(&elements.labels, &neighbors);
             let surplus = surplus_of(&regions, &self.face_components(), self.input.values.len());
             let joinable = joinable_regions(elements, &regions, surplus);
             let carved = carve(lattice, elements, &neighbors, &pinched, &joinable);

@@ -2,7 +2,7 @@
 //!
 //! # Method
 //! The lattice runs past the image border in a zigzag. For each border plane that the mesh reaches:
-//! 1. Vertices next to the plane, measured along the edges that cross it, are moved onto it.
+//! 1. Vertices next to the plane, measured along the edges that cross it, are moved onto it, where that spoils no element.
 //! 2. Elements that still cross it are cut along it. Edges are cut where they meet the plane; a face that becomes a
 //!    quadrilateral is divided from that of its two inner vertices that is nearer to the plane, so neighbours agree.
 //! 3. What lies beyond is left out. Background elements whose centroid was beyond take the label of the voxels at what is
@@ -32,6 +32,7 @@ use crate::geometry::tetrahedron::volume6;
 use crate::index::{Label, VertexId};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::relabel_for_smoothing;
+use crate::lattice::element_score::{Threshold, tet_fails, tet_score};
 use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::scaffold::Scaffold;
@@ -41,24 +42,27 @@ use crate::mesh::numbering::TET_EDGES;
 /// A vertex whose distance to the plane is less than this part of an edge that crosses it moves onto the plane.
 const NEAR: f64 = 0.3;
 
+/// Score in degrees below which the move of a vertex onto the plane may bring no element that stays.
+const LEAST_SCORE: f64 = 5.0;
+
 /// No vertex.
 const NONE: u32 = u32::MAX;
 
-/// Cuts a mesh and its scaffold at the border planes that it reaches; returns the number of planes.
+/// Cuts a mesh and its scaffold at the border planes that it reaches; returns these planes.
 ///
 /// # Errors
 /// Those of [`neighbors_of`].
-pub fn clip_at_border(mesh: &mut CandidateMesh, surface: &SubvoxelSurface) -> Result<usize> {
+pub fn clip_at_border(mesh: &mut CandidateMesh, surface: &SubvoxelSurface) -> Result<Vec<u8>> {
     let planes: Vec<u8> = (0..6).filter(|plane| reaches(mesh, surface, *plane)).collect();
     if planes.is_empty() {
-        return Ok(0);
+        return Ok(planes);
     }
     let mut work = Clipping::new(mesh);
     planes.iter().for_each(|plane| work.clip(surface, *plane));
     work.label_changed(surface);
     work.relabel()?;
     work.finish(mesh);
-    Ok(planes.len())
+    Ok(planes)
 }
 
 /// Height of a point above a border plane, mm, outside of the image positive.
@@ -74,19 +78,19 @@ fn reaches(mesh: &CandidateMesh, surface: &SubvoxelSurface, plane: u8) -> bool {
 }
 
 /// The elements of a mesh and its scaffold under the knife.
-struct Clipping {
-    points: Vec<DVec3>,
-    tets: Vec<[u32; 4]>,
-    labels: Vec<Label>,
+pub(super) struct Clipping {
+    pub(super) points: Vec<DVec3>,
+    pub(super) tets: Vec<[u32; 4]>,
+    pub(super) labels: Vec<Label>,
     fixed: Vec<bool>,
     /// Whether a vertex lay beyond a plane, was moved, or is new.
-    changed: Vec<bool>,
+    pub(super) changed: Vec<bool>,
     /// Whether an element may take another label.
     relabels: Vec<bool>,
 }
 
 impl Clipping {
-    fn new(mesh: &mut CandidateMesh) -> Self {
+    pub(super) fn new(mesh: &mut CandidateMesh) -> Self {
         let scaffold = std::mem::take(&mut mesh.scaffold);
         let mut points = std::mem::take(&mut mesh.points);
         points.extend(scaffold.points);
@@ -103,7 +107,9 @@ impl Clipping {
     fn clip(&mut self, surface: &SubvoxelSurface, plane: u8) {
         let (axis, at) = surface.border(plane);
         let mut heights: Vec<f64> = self.points.par_iter().map(|p| height(*p, surface, plane)).collect();
-        for v in self.near(&heights) {
+        let mut near = self.near(&heights);
+        self.retain_harmless(&mut near, &heights, axis, at);
+        for v in near {
             self.points[v][axis] = at;
             heights[v] = 0.0;
             self.changed[v] = true;
@@ -162,6 +168,34 @@ impl Clipping {
         near
     }
 
+    /// Takes out vertices whose move onto the plane would spoil an element that stays: one beside a large element that crosses
+    /// the plane may have small elements too, which the move would turn over.
+    fn retain_harmless(&self, near: &mut Vec<usize>, heights: &[f64], axis: usize, at: f64) {
+        let mut moves = vec![false; self.points.len()];
+        near.iter().for_each(|v| moves[*v] = true);
+        let bound = Threshold::of(LEAST_SCORE);
+        let is_spoiled = |tet: &&[u32; 4], moves: &[bool]| {
+            let is_moved = |v: &u32| moves[*v as usize];
+            let stays = tet.iter().any(|v| !is_moved(v) && heights[*v as usize] < 0.0);
+            if !stays || !tet.iter().any(is_moved) {
+                return false;
+            }
+            let before = tet.map(|v| self.points[v as usize]);
+            let mut after = before;
+            tet.iter().zip(&mut after).filter(|(v, _)| is_moved(v)).for_each(|(_, place)| place[axis] = at);
+            tet_fails(after, &bound) && tet_score(after) < tet_score(before)
+        };
+        loop {
+            let spoiled = self.tets.par_iter().with_min_len(4096).filter(|tet| is_spoiled(tet, &moves));
+            let back: Vec<u32> = spoiled.flat_map_iter(|tet| *tet).filter(|v| moves[*v as usize]).collect();
+            if back.is_empty() {
+                break;
+            }
+            back.into_iter().for_each(|v| moves[v as usize] = false);
+        }
+        near.retain(|v| moves[*v]);
+    }
+
     /// Background elements that reached a border take the label of their voxels.
     fn label_changed(&mut self, surface: &SubvoxelSurface) {
         for (t, tet) in self.tets.iter().enumerate() {
@@ -193,7 +227,7 @@ impl Clipping {
         Ok(())
     }
 
-    fn finish(self, mesh: &mut CandidateMesh) {
+    pub(super) fn finish(self, mesh: &mut CandidateMesh) {
         let mut renumbered = vec![NONE; self.points.len()];
         for (tet, _) in self.tets.iter().zip(&self.labels).filter(|(_, label)| !label.is_background()) {
             tet.iter().for_each(|v| renumbered[*v as usize] = 0);
@@ -297,7 +331,6 @@ mod tests {
     use crate::image::grid::Grid;
     use crate::image::label_image::LabelImage;
     use crate::lattice;
-    use crate::lattice::element_score::tet_score;
     use crate::lattice::options::{Options, PARAMETERS};
     use crate::mesh::quality::mesh_quality;
     use crate::mesh::validation::check_mixed_mesh;
@@ -359,7 +392,7 @@ mod tests {
                 tet_labels: vec![Label(1)],
                 ..CandidateMesh::default()
             };
-            assert_eq!(clip_at_border(&mut mesh, &surface).unwrap(), 1);
+            assert_eq!(clip_at_border(&mut mesh, &surface).unwrap(), [0]);
             let volume = |t: &[VertexId; 4]| volume6(t.map(|v| mesh.points[v.index()]));
             assert!(mesh.tets.iter().all(|t| volume(t) > 0.0));
             // Heights are linear: the part cut off at a vertex is the product of the parts of its edges.

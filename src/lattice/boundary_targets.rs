@@ -39,13 +39,15 @@ pub struct SourcePoints {
 }
 
 impl SourcePoints {
-    /// The surface vertices of tets with their face neighbours.
+    /// The surface vertices of tets with their face neighbours. Those on one of the border `planes`, along which the mesh and
+    /// its scaffold were cut, have it among their sides, also where no face of the mesh is in the plane.
     pub fn new(
         points: &[DVec3],
         tets: &[[VertexId; 4]],
         labels: &[Label],
         neighbors: &[[u32; 4]],
         surface: &SubvoxelSurface,
+        planes: &[u8],
     ) -> Self {
         // (vertex, side) pairs of all faces between different sides, by chunks in order.
         let mut pairs: Vec<(u32, Side)> = (0..tets.len())
@@ -74,6 +76,20 @@ impl SourcePoints {
                 found.into_iter().flatten()
             })
             .collect();
+        pairs.par_sort_unstable();
+        pairs.dedup();
+        let on_planes: Vec<(u32, Side)> = pairs
+            .chunk_by(|a, b| a.0 == b.0)
+            .flat_map(|of_vertex| {
+                let v = of_vertex[0].0;
+                let is_on = move |plane: &&u8| {
+                    let (axis, at) = surface.border(**plane);
+                    points[v as usize][axis] == at
+                };
+                planes.iter().filter(is_on).map(move |plane| (v, Side::Border(*plane)))
+            })
+            .collect();
+        pairs.extend(on_planes);
         pairs.par_sort_unstable();
         pairs.dedup();
         let mut sources = Self { offsets: vec![0], position: vec![u32::MAX; points.len()], ..Self::default() };

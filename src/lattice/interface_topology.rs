@@ -239,7 +239,7 @@ impl<'a> InterfaceTopology<'a> {
     }
 
     /// Change of the sum of excesses when `elements` take `label`.
-    fn gain(&self, elements: &[u32], label: Label, labels: &mut [Label]) -> i64 {
+    pub(super) fn gain(&self, elements: &[u32], label: Label, labels: &mut [Label]) -> i64 {
         let mut vertices: Vec<u32> = elements.iter().flat_map(|e| self.tets[*e as usize]).collect();
         vertices.sort_unstable();
         vertices.dedup();

@@ -328,7 +328,8 @@ fn lies_along_line(mesh: &ImprovementMesh, from: u32, to: u32, near: &[u32]) -> 
         && mesh.shell(before, to).is_empty()
 }
 
-/// Sides of a vertex in the middle of an edge.
+/// Sides of a vertex in the middle of an edge. An edge between two vertices on a border plane lies in it, and its middle has
+/// to stay there, also where only the scaffold has faces in the plane: the outside of both may not move.
 fn sides_of_edge(mesh: &ImprovementMesh, a: u32, b: u32, shell: &[u32]) -> Vec<Side> {
     if !mesh.is_surface_edge(a, b, shell) {
         return Vec::new();
@@ -343,6 +344,8 @@ fn sides_of_edge(mesh: &ImprovementMesh, a: u32, b: u32, shell: &[u32]) -> Vec<S
             let border = mesh.sides(a).iter().filter(|s| matches!(s, Side::Border(_))).find(is_on);
             sides.push(border.copied().unwrap_or(Side::Label(Label::BACKGROUND)));
         }
+        let is_plane = |side: &&Side| matches!(side, Side::Border(_)) && mesh.sides(b).contains(side);
+        sides.extend(mesh.sides(a).iter().filter(is_plane));
     }
     sides.sort_unstable();
     sides.dedup();
@@ -443,5 +446,49 @@ fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool
             false
         }
         _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::context::RunContext;
+    use crate::index::VertexId;
+    use crate::lattice::boundary_targets::SourcePoints;
+    use crate::lattice::candidate_mesh::CandidateMesh;
+    use crate::lattice::scaffold::Scaffold;
+    use crate::lattice::subvoxel_surface::SubvoxelSurface;
+    use crate::lattice::test_images::voxel_image;
+    use glam::DVec3;
+
+    #[test]
+    fn the_middle_of_an_edge_in_a_border_plane_stays_there_where_only_the_scaffold_has_faces_in_it() {
+        // The edge 0 1 lies in the plane x = -0.5; a tet of the mesh stands on it, scaffold tets lean on both sides of that.
+        let image = voxel_image(6, |p| u16::from(p.x < 3.0));
+        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
+        let points = vec![
+            DVec3::new(-0.5, 2.0, 2.0),
+            DVec3::new(-0.5, 2.0, 3.0),
+            DVec3::new(0.5, 1.6, 2.5),
+            DVec3::new(0.5, 2.4, 2.5),
+        ];
+        let scaffold = Scaffold {
+            points: vec![DVec3::new(-0.5, 1.0, 2.5), DVec3::new(-0.5, 3.0, 2.5)],
+            tets: vec![[0, 1, 4, 2].map(VertexId), [0, 1, 3, 5].map(VertexId)],
+        };
+        let mut mesh = CandidateMesh {
+            points,
+            tets: vec![[0, 1, 2, 3].map(VertexId)],
+            tet_labels: vec![Label(1)],
+            scaffold,
+            ..CandidateMesh::default()
+        };
+        let alone = [[u32::MAX; 4]];
+        let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &alone, &surface, &[0]);
+        let expected = [Side::Label(Label(0)), Side::Label(Label(1)), Side::Border(0)];
+        assert_eq!(sources.sides(0), expected);
+        assert_eq!(sources.sides(2), &expected[..2]);
+        let work = ImprovementMesh::new(&mut mesh, &sources, surface);
+        assert_eq!(sides_of_edge(&work, 0, 1, &work.shell(0, 1)), expected);
     }
 }

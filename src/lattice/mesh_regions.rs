@@ -31,11 +31,11 @@ pub fn surplus_of(regions: &[(Label, Vec<u32>)], image: &Components, labels: usi
 }
 
 /// Elements connected through faces within one label; background is left out.
-pub fn regions_of(elements: &Elements, neighbors: &[[u32; 4]]) -> Vec<(Label, Vec<u32>)> {
-    let mut seen = vec![false; elements.tets.len()];
+pub fn regions_of(labels: &[Label], neighbors: &[[u32; 4]]) -> Vec<(Label, Vec<u32>)> {
+    let mut seen = vec![false; labels.len()];
     let mut regions = Vec::new();
-    for start in 0..elements.tets.len() {
-        let label = elements.labels[start];
+    for start in 0..labels.len() {
+        let label = labels[start];
         if seen[start] || label.is_background() {
             continue;
         }
@@ -44,7 +44,7 @@ pub fn regions_of(elements: &Elements, neighbors: &[[u32; 4]]) -> Vec<(Label, Ve
         let mut next = 0;
         while next < region.len() {
             for near in neighbors[region[next] as usize] {
-                if near != OUTSIDE && !seen[near as usize] && elements.labels[near as usize] == label {
+                if near != OUTSIDE && !seen[near as usize] && labels[near as usize] == label {
                     seen[near as usize] = true;
                     region.push(near);
                 }
@@ -68,7 +68,7 @@ pub fn relabel_loose_regions(
         let [a, b, c, d] = elements.tets[*e as usize].map(|v| lattice.vertices.positions[v as usize].as_dvec3());
         (b - a).cross(c - a).dot(d - a)
     };
-    let regions = regions_of(elements, neighbors);
+    let regions = regions_of(&elements.labels, neighbors);
     let volumes: Vec<f64> = regions.iter().map(|(_, region)| region.iter().map(volume).sum()).collect();
     let (mut totals, mut largest) = (vec![0.0; labels], vec![(0.0, 0); labels]);
     for (r, ((label, _), volume)) in regions.iter().zip(&volumes).enumerate() {
@@ -129,7 +129,7 @@ mod tests {
         let mut elements = lattice.elements(&context).unwrap();
         let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap();
         relabel_loose_regions(&lattice, &mut elements, &neighbors, 2, threshold);
-        regions_of(&elements, &neighbors).len()
+        regions_of(&elements.labels, &neighbors).len()
     }
 
     #[test]

@@ -37,6 +37,7 @@ pub mod interface_topology;
 pub mod lattice_improvement;
 pub mod local_transformations;
 pub mod local_undo;
+pub mod loose_pieces;
 pub mod mesh_regions;
 pub mod mixed_elements;
 #[cfg(test)]

@@ -161,7 +161,7 @@ mod tests {
             *label = Label(u16::from(is_in_ball));
         }
         let components = Components::new(&image, Connectivity::Face, Members::Foreground);
-        let found = regions_of(&elements, &neighbors);
+        let found = regions_of(&elements.labels, &neighbors);
         let surplus = surplus_of(&found, &components, 2);
         assert_eq!(surplus[1], 1);
         let regions = joinable_regions(&elements, &found, surplus);

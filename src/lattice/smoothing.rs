@@ -29,6 +29,7 @@ use crate::lattice::boundary_targets::{SourcePoints, TargetPoints};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::face_adjacency::neighbors_of;
 use crate::lattice::lattice_improvement::{ImprovementOptions, Transformations, improve};
+use crate::lattice::loose_pieces::relabel_loose_pieces;
 use crate::lattice::options::Options;
 use crate::lattice::progress_shares;
 use crate::lattice::report::Report;
@@ -59,10 +60,14 @@ pub fn smooth(
     context.progress("target surface", progress_shares::REFINED);
     let surface = report.timed("target_surface", || SubvoxelSurface::new(image, context))?;
     let planes = report.timed("border", || clip_at_border(mesh, &surface))?;
-    report.set("smoothing.border_planes", planes as f64);
-    let rows: &[[u32; 4]] = bytemuck::cast_slice(&mesh.tets);
-    let neighbors = neighbors_of(rows, mesh.points.len())?;
-    let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &neighbors, &surface);
+    report.set("smoothing.border_planes", planes.len() as f64);
+    let mut neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len())?;
+    let loose = report.timed("loose_pieces", || relabel_loose_pieces(mesh, &neighbors, image))?;
+    if loose > 0 {
+        neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len())?;
+    }
+    report.set("smoothing.loose_pieces", loose as f64);
+    let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &neighbors, &surface, &planes);
     drop(neighbors);
     let targets = TargetPoints::new(image, options.non_connectivity);
     let points = SmoothingPoints {

@@ -77,7 +77,7 @@ mod tests {
         };
         let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
         let alone = [[u32::MAX; 4]; 2];
-        let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &alone, &surface);
+        let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &alone, &surface, &[]);
         count_crossings(&ImprovementMesh::new(&mut mesh, &sources, surface))
     }
 

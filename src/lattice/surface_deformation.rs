@@ -19,7 +19,7 @@
 //! before the first iteration: all moves together stay below an edge, and the lattice has the better shapes.
 //!
 //! # Invariants
-//! No element gets worse than before and below the bound at once. Same bits for any number of threads.
+//! No element gets worse than before and below the bound at once. Vertices on border planes stay in them. Same bits for any number of threads.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -35,7 +35,7 @@ use crate::lattice::elastic_model::ElasticModel;
 use crate::lattice::element_score::{Part, Threshold, tet_fails, tet_score};
 use crate::lattice::options::Options;
 use crate::lattice::progress_shares;
-use crate::lattice::subvoxel_surface::SubvoxelSurface;
+use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::lattice::untangling::{GuardedMove, GuardedTets, move_guarded};
 use crate::sparse::block_csr::BlockCsr;
 use crate::sparse::conjugate_gradient::{StoppingRule, conjugate_gradient};
@@ -203,7 +203,21 @@ fn displacements_of(
     body.model.move_centers(&mut displacements);
     displacements.iter_mut().zip(&body.held).filter(|(_, held)| **held).for_each(|(d, _)| *d = DVec3::ZERO);
     displacements.iter_mut().filter(|d| !d.is_finite()).for_each(|d| *d = DVec3::ZERO);
+    stay_in_planes(mesh, input, &mut displacements);
     Ok(displacements)
+}
+
+/// Vertices on a border plane stay in it. With the outermost vertices of the scaffold they are the outside of everything that
+/// moves: only where that keeps its place, elements that stay positive cannot overlap.
+fn stay_in_planes(mesh: &CandidateMesh, input: &Deformation, displacements: &mut [DVec3]) {
+    for (at, vertex) in input.sources.vertices.iter().enumerate() {
+        for side in input.sources.sides(at) {
+            if let Side::Border(plane) = side {
+                let (axis, position) = input.surface.border(*plane);
+                displacements[vertex.index()][axis] = position - mesh.points[vertex.index()][axis];
+            }
+        }
+    }
 }
 
 fn materials(input: &Deformation) -> Result<MaterialMap> {
