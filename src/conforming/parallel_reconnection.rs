@@ -24,7 +24,7 @@
 mod tet_treatment;
 
 use tet_treatment::TreatJob;
-pub use tet_treatment::Treatment;
+pub use tet_treatment::{Crowding, Treatment};
 
 use rayon::prelude::*;
 
@@ -99,9 +99,31 @@ struct Kit {
     removed: Vec<VertexId>,
     /// Vertices that smoothing moved.
     moved: Vec<VertexId>,
-    /// Vertices of the tets that treatments made, and those they moved.
-    touched: Vec<VertexId>,
+    /// What treatments changed.
+    touched: Touched,
     tally: Tally,
+}
+
+/// The vertices at which treatments changed something; some several times.
+#[derive(Debug, Clone, Default)]
+pub struct Touched {
+    /// Vertices of new tets.
+    pub made: Vec<VertexId>,
+    /// Vertices that were moved.
+    pub moved: Vec<VertexId>,
+}
+
+impl Touched {
+    /// Whether nothing was changed.
+    pub fn is_empty(&self) -> bool {
+        self.made.is_empty() && self.moved.is_empty()
+    }
+
+    /// Adds another list.
+    pub fn append(&mut self, mut other: Self) {
+        self.made.append(&mut other.made);
+        self.moved.append(&mut other.moved);
+    }
 }
 
 /// Counts of a driver.
@@ -581,9 +603,11 @@ impl Driver {
         Ok((after - before) as usize)
     }
 
-    /// The vertices at which treatments changed something since the last call; some several times.
-    pub fn take_touched(&mut self) -> Vec<VertexId> {
-        self.kits.iter_mut().flat_map(|kit| std::mem::take(&mut kit.touched)).collect()
+    /// What treatments changed since the last call.
+    pub fn take_touched(&mut self) -> Touched {
+        let mut all = Touched::default();
+        self.kits.iter_mut().for_each(|kit| all.append(std::mem::take(&mut kit.touched)));
+        all
     }
 
     /// Gives every thread spare vertices, enough for each bad tet to take one.

@@ -34,7 +34,7 @@ use rayon::prelude::*;
 use super::flip_criteria::{BiasedSine, TetMeasure};
 use super::local_reconnection::{FourFour, Objective};
 use super::options::Options;
-use super::parallel_reconnection::{Driver, Treatment};
+use super::parallel_reconnection::{Crowding, Driver, Touched, Treatment};
 use super::refinement::boundary_triangles;
 use super::smoothing::{Acceptance, SmoothingRule, Target};
 use crate::context::RunContext;
@@ -59,14 +59,29 @@ const CHUNK: usize = 2048;
 /// depends on the balls of its vertices, and what it changes may help the next.
 const REPEAT_RINGS: usize = 2;
 
-/// The vertices whose tets a scan looks at: all, or those marked and what is newer than the marks.
+/// Mark of a vertex whose tets are all within a scope.
+const WHOLE: u8 = 3;
+/// Mark of a vertex of a new tet: a tet is within a scope with three of these, as the new tet itself and those that share
+/// a face with it. Round a vertex with many tets the others are as they were, and what failed there fails again.
+const OF_NEW_TET: u8 = 1;
+
+/// The tets that a scan looks at: all, or those whose vertices' marks add up to [`WHOLE`]. Vertices newer than the marks
+/// count as whole.
 #[derive(Default)]
-struct Scope(Option<Vec<bool>>);
+struct Scope(Option<Vec<u8>>);
 
 impl Scope {
     fn of_vertices(complex: &TetComplex, vertices: impl IntoIterator<Item = VertexId>) -> Self {
-        let mut marks = vec![false; complex.vertex_count()];
-        vertices.into_iter().filter(|v| !v.is_ghost()).for_each(|v| marks[v.index()] = true);
+        let mut marks = vec![0; complex.vertex_count()];
+        vertices.into_iter().filter(|v| !v.is_ghost()).for_each(|v| marks[v.index()] = WHOLE);
+        Self(Some(marks))
+    }
+
+    /// What treatments changed, and the tets beside it.
+    fn of_changes(complex: &TetComplex, changes: &Touched) -> Self {
+        let mut marks = vec![0; complex.vertex_count()];
+        changes.made.iter().filter(|v| !v.is_ghost()).for_each(|v| marks[v.index()] = OF_NEW_TET);
+        changes.moved.iter().filter(|v| !v.is_ghost()).for_each(|v| marks[v.index()] = WHOLE);
         Self(Some(marks))
     }
 
@@ -85,7 +100,10 @@ impl Scope {
     fn holds(&self, row: &[VertexId]) -> bool {
         match &self.0 {
             None => true,
-            Some(marks) => row.iter().any(|v| marks.get(v.index()).copied().unwrap_or(!v.is_ghost())),
+            Some(marks) => {
+                let mark = |v: &VertexId| if v.is_ghost() { 0 } else { marks.get(v.index()).copied().unwrap_or(WHOLE) };
+                row.iter().map(mark).sum::<u8>() >= WHOLE
+            }
         }
     }
 }
@@ -238,7 +256,7 @@ fn is_forced_sliver(complex: &TetComplex, tet: TetId) -> bool {
 fn vertices_of(complex: &TetComplex, tets: &[TetId]) -> Vec<VertexId> {
     let Scope(marks) = Scope::of_vertices(complex, tets.iter().flat_map(|&t| complex.vertices(t)));
     let marks = marks.into_iter().flatten().enumerate();
-    marks.filter(|(_, is_marked)| *is_marked).map(|(v, _)| VertexId::from_index(v)).collect()
+    marks.filter(|(_, mark)| *mark > 0).map(|(v, _)| VertexId::from_index(v)).collect()
 }
 
 /// Which vertices lie on the boundary.
@@ -291,7 +309,8 @@ pub fn improve(
     let driver = Driver::for_quality(options, context);
     let angle = options.quality_angle.min(options.mask_angle);
     let known = Known { angle, grade: BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1) };
-    let mut improver = Improver { options, context, on_boundary: &on_boundary, driver, known };
+    let crowding = Crowding::Refused;
+    let mut improver = Improver { options, context, on_boundary: &on_boundary, driver, known, crowding };
     let passes = options.quality_passes;
     let mut scope = Scope::default();
     for repeat in 0..=options.quality_repeats {
@@ -351,6 +370,8 @@ struct Improver<'a> {
     on_boundary: &'a [bool],
     driver: Driver,
     known: Known,
+    /// Refused until the passes over the whole mesh are done: many tets are bad before.
+    crowding: Crowding,
 }
 
 impl Improver<'_> {
@@ -369,16 +390,16 @@ impl Improver<'_> {
         let bad = self.known.tets_below(complex, context, scope, goal);
         self.driver.take_touched();
         // Slivers are among these, or what becomes of them.
-        let mut near: Vec<VertexId> = bad.iter().flat_map(|&t| complex.vertices(t)).collect();
+        let mut near = Touched { made: bad.iter().flat_map(|&t| complex.vertices(t)).collect(), moved: Vec::new() };
         self.driver.treat(complex, sizes, self.on_boundary, bad, &Treatment::topological(goal))?;
         if options.delete_field_slivers {
             for _ in 0..options.field_sliver_repeats {
-                near.append(&mut self.driver.take_touched());
-                let around = Scope::of_vertices(complex, std::mem::take(&mut near));
+                near.append(self.driver.take_touched());
+                let around = Scope::of_changes(complex, &std::mem::take(&mut near));
                 let slivers = self.known.tets_above(complex, context, &around, options.field_sliver_angle);
+                let treatment = Treatment::everything(goal, self.crowding);
                 // What was tried in vain is tried again only where something has changed beside it.
-                if slivers.is_empty()
-                    || self.driver.treat(complex, sizes, self.on_boundary, slivers, &Treatment::everything(goal))? == 0
+                if slivers.is_empty() || self.driver.treat(complex, sizes, self.on_boundary, slivers, &treatment)? == 0
                 {
                     break;
                 }
@@ -426,7 +447,6 @@ impl Improver<'_> {
     fn treat_worst(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>, scope: &Scope) -> Result<()> {
         let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
         let everything = self.options.delete_field_slivers;
-        let treatment = if everything { Treatment::everything(goal) } else { Treatment::topological(goal) };
         self.driver.take_touched();
         let mut touched: Option<Scope> = None;
         for _ in 0..WORST_ROUNDS {
@@ -434,10 +454,15 @@ impl Improver<'_> {
             // Where nothing has changed, what failed fails again.
             let scope = touched.as_ref().unwrap_or(scope);
             let bad = self.known.tets_below(complex, self.context, scope, goal);
+            if scope.0.is_none() {
+                self.crowding = Crowding::for_mesh(complex, &bad);
+            }
+            let treatment =
+                if everything { Treatment::everything(goal, self.crowding) } else { Treatment::topological(goal) };
             if bad.is_empty() || self.driver.treat(complex, sizes, self.on_boundary, bad, &treatment)? == 0 {
                 break;
             }
-            touched = Some(Scope::of_vertices(complex, self.driver.take_touched()));
+            touched = Some(Scope::of_changes(complex, &self.driver.take_touched()));
         }
         Ok(())
     }
@@ -484,5 +509,28 @@ mod tests {
         tets.into_iter().for_each(|tet| complex.set_label(tet, Label(1)));
         let found = slivers(&complex, &context);
         assert!(!found.is_empty() && found.iter().all(|tet| !is_forced_sliver(&complex, *tet)), "{found:?}");
+    }
+
+    #[test]
+    fn what_new_tets_do_not_touch_is_not_tried_again() {
+        // A fan of tets around the edge 0 1: 2 3, 3 4, ..., 6 7.
+        let mut points = vec![DVec3::ZERO, DVec3::Z];
+        points.extend((0..6).map(|i| {
+            let turn = 0.9 * f64::from(i);
+            DVec3::new(turn.cos(), turn.sin(), 0.5)
+        }));
+        let mut complex = TetComplex::with_points(points).unwrap();
+        for i in 2..7 {
+            complex.create_tet([0, 1, i, i + 1].map(VertexId), Label(1)).unwrap();
+        }
+        let held = |changes: &Touched| {
+            let scope = Scope::of_changes(&complex, changes);
+            complex.finite_tets().map(|tet| scope.holds(&complex.vertices(tet))).collect::<Vec<_>>()
+        };
+        let made = Touched { made: complex.vertices(TetId::from_index(2)).to_vec(), moved: Vec::new() };
+        assert_eq!(held(&made), [false, true, true, true, false]);
+        let moved = Touched { made: Vec::new(), moved: vec![VertexId(7)] };
+        assert_eq!(held(&moved), [false, false, false, false, true]);
+        assert!(Scope::of_changes(&complex, &Touched::default()).holds(&[VertexId(8)]), "newer than the marks");
     }
 }

@@ -132,8 +132,7 @@ pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
             last = Outcome::WouldInvert;
             continue;
         };
-        let nearest = scratch.star.faces.iter().flatten().map(|p| p.distance_squared(place));
-        if grade > bound && nearest.fold(f64::INFINITY, f64::min) >= limits.spacing * limits.spacing {
+        if grade > bound && scratch.star.keeps_distance(place, limits.spacing) {
             best = Some((grade, old, place));
             scratch.best.clone_from(&scratch.cavity);
         }
@@ -358,7 +357,7 @@ mod tests {
             }
             let grade = BiasedSine.grade(mesh.points_of(tet));
             let (mut scratch, mut flips) = (SliverScratch::default(), FlipScratch::default());
-            let limits = (1.3 * grade, 1.3);
+            let limits = (InsertionLimits { floor: 1.3 * grade, ..InsertionLimits::default() }, 1.3);
             let (outcome, place) =
                 plan_grown_insertion(&mut complex, (tet, spare), limits, &BiasedSine, &mut scratch, &mut flips);
             if outcome != Outcome::Accepted {
@@ -379,5 +378,35 @@ mod tests {
             assert!((0..300).all(|v| complex.tet_of(VertexId(v)) != TetId::NONE), "no vertex is lost");
         }
         assert!(accepted[0] > 3 && accepted[0] >= accepted[1], "{accepted:?} of {}", bad.len());
+    }
+
+    #[test]
+    fn grown_polyhedra_keep_the_distance_asked_for() {
+        let mesh = random_mesh(300);
+        let bad = mesh.finite_tets().filter(|&tet| BiasedSine.grade(mesh.points_of(tet)) < 0.1);
+        let mut accepted = [0, 0];
+        for tet in bad {
+            for (number, spacing) in [0.0, 0.08].into_iter().enumerate() {
+                let mut complex = mesh.clone();
+                let spare = complex.push_point(DVec3::ZERO).unwrap();
+                let grade = BiasedSine.grade(mesh.points_of(tet));
+                let (mut scratch, mut flips) = (SliverScratch::default(), FlipScratch::default());
+                let limits = InsertionLimits { floor: 1.3 * grade, spacing, every_edge: true };
+                let (outcome, place) = plan_grown_insertion(
+                    &mut complex,
+                    (tet, spare),
+                    (limits, 1.3),
+                    &BiasedSine,
+                    &mut scratch,
+                    &mut flips,
+                );
+                if outcome == Outcome::Accepted {
+                    accepted[number] += 1;
+                    let around = flips.plan.new.iter().flatten().filter(|v| **v != spare);
+                    assert!(around.map(|v| mesh.point(*v).distance(place)).all(|distance| distance >= spacing));
+                }
+            }
+        }
+        assert!(accepted[0] > accepted[1] && accepted[1] > 0, "{accepted:?}");
     }
 }

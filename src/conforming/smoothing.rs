@@ -131,6 +131,11 @@ impl Star {
         self.faces.iter().all(|&[a, b, c]| orient3d(a, b, c, point) > 0.0)
     }
 
+    /// Whether no corner of the faces is closer to `point` than `spacing`.
+    pub fn keeps_distance(&self, point: DVec3, spacing: f64) -> bool {
+        spacing <= 0.0 || self.faces.iter().flatten().all(|corner| corner.distance_squared(point) >= spacing * spacing)
+    }
+
     fn target(&self, target: Target, at: DVec3) -> DVec3 {
         let mut sum = DVec3::ZERO;
         for &[a, b, c] in &self.faces {
@@ -151,12 +156,17 @@ impl Star {
     /// Climbs from `start` to a place where the worst tet is as good as the search can make it; returns the place and
     /// its grade, which is not below that of `start`.
     pub fn search<M: TetMeasure>(&mut self, measure: &M, start: DVec3) -> (DVec3, f64) {
+        self.search_steps(measure, start, SEARCH_STEPS)
+    }
+
+    /// [`Star::search`] with at most so many steps.
+    pub fn search_steps<M: TetMeasure>(&mut self, measure: &M, start: DVec3, steps: usize) -> (DVec3, f64) {
         let mut at = start;
         let mut step =
             0.2 * self.faces.iter().map(|[a, ..]| a.distance_squared(start)).fold(f64::INFINITY, f64::min).sqrt();
         let smallest = 1e-3 * step;
         let mut best = self.grades_at(measure, at);
-        for _ in 0..SEARCH_STEPS {
+        for _ in 0..steps {
             if step <= smallest {
                 break;
             }

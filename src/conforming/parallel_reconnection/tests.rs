@@ -110,7 +110,7 @@ fn treatment_lifts_the_worst_tets_on_any_number_of_threads() {
         let on_boundary = boundary_vertices(&complex);
         let before = worst(&complex);
         let goal = BiasedSine::grade_of_angles(24.0, 145.0);
-        for treatment in [Treatment::topological(goal), Treatment::everything(goal)] {
+        for treatment in [Treatment::topological(goal), Treatment::everything(goal, Crowding::Allowed)] {
             let bad: Vec<TetId> = complex.finite_tets().collect();
             let done = driver.treat(&mut complex, &mut sizes, &on_boundary, bad, &treatment).unwrap();
             assert_eq!(done == 0, driver.take_touched().is_empty());

@@ -9,7 +9,8 @@
 //!
 //! # Differences
 //! Without these limits, tets whose bad angles the surface forces draw point after point, each making the worst tet a
-//! little better, until thin places are full of small tets off the boundary that nothing forces to be bad.
+//! little better, until thin places are full of small tets off the boundary that nothing forces to be bad. On surfaces with
+//! needles everywhere, points keep their distance unless a tet is nearly flat ([`Crowding`]).
 //!
 //! # Invariants
 //! No operation lowers the worst tet of what it touches; tets off the boundary are graded strictly
@@ -22,26 +23,45 @@ use super::{Job, Kit};
 use crate::error::Result;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_EDGES;
+use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
 use crate::mesh::topology::ShellTet;
 use crate::parallel::speculative::Attempt;
 
-/// A tet with a smaller angle, degrees, is nearly flat: a point is inserted wherever it helps by the factor of
-/// [`FLAT_GAIN`].
+/// A tet with a smaller angle, degrees, is nearly flat: a point is inserted wherever it helps by the factor of [`GAIN`].
 const FLAT_BELOW: f64 = 4.0;
-/// Factor by which a point must better the grade of a nearly flat tet.
-const FLAT_GAIN: f64 = 1.02;
 /// A tet with a smaller angle, degrees, gets a point where every new tet reaches that angle; or one in a polyhedron grown
-/// around it, where that helps by the factor of [`GROWN_GAIN`].
+/// around it, where that helps by the factor of [`GAIN`].
 const BAD_BELOW: f64 = 10.0;
-/// Factor by which a point in a grown polyhedron must better the worst tet that goes: a tet of 4 degrees is at 10 after
-/// at most four of them, so that thin places do not fill with points for the sake of little.
-const GROWN_GAIN: f64 = 1.3;
+/// Factor by which a point must better the worst tet that goes where it need not reach an angle: a tet of 4 degrees is at
+/// 10 after at most four of them, so that thin places do not fill with points for the sake of little.
+const GAIN: f64 = 1.3;
+/// Tets above this share of all with an angle below [`BAD_BELOW`] come from needles all over the surface. Points that
+/// crowd around each of them would make most edges of the mesh shorter than wanted; around few, nobody notices.
+const FEW_BAD: f64 = 0.03;
 /// The angle that every new tet of all other insertions reaches, degrees.
 const FLOOR: f64 = 18.0;
-/// Distance that a point keeps from its neighbours there, beside the boundary, in shares of their average size: with edges
+/// Distance that a point keeps from its neighbours where it may not crowd, in shares of their average size: with edges
 /// below half the size of the boundary the mesh would no longer follow the size field.
 const SPACING: f64 = 0.5;
+
+/// Whether points may come closer to others than the sizes want, for the sake of bad tets.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Crowding {
+    /// For every bad tet.
+    Allowed,
+    /// Only for tets that are nearly flat.
+    Refused,
+}
+
+impl Crowding {
+    /// Allowed where few tets of the mesh are bad; `bad` holds all that are, and others.
+    pub fn for_mesh(complex: &TetComplex, bad: &[TetId]) -> Self {
+        let limit = BAD_BELOW.to_radians().sin();
+        let count = bad.iter().filter(|&&tet| BiasedSine.grade(complex.points_of(tet)) < limit).count();
+        if count as f64 > FEW_BAD * complex.live_count() as f64 { Self::Refused } else { Self::Allowed }
+    }
+}
 
 /// Which operations bad tets get.
 #[derive(Debug, Clone, Copy)]
@@ -50,6 +70,8 @@ pub struct Treatment {
     pub edge_limit: usize,
     /// Whether vertices are removed and inserted.
     pub changes_vertices: bool,
+    /// Whether inserted points may be close to others.
+    pub crowding: Crowding,
     /// Tets of this grade or better are left alone.
     pub goal: f64,
 }
@@ -57,22 +79,23 @@ pub struct Treatment {
 impl Treatment {
     /// Edge and face removal and moves of vertices.
     pub fn topological(goal: f64) -> Self {
-        Self { edge_limit: 8, changes_vertices: false, goal }
+        Self { edge_limit: 8, changes_vertices: false, crowding: Crowding::Refused, goal }
     }
 
     /// All operations.
-    pub fn everything(goal: f64) -> Self {
-        Self { edge_limit: 10, changes_vertices: true, goal }
+    pub fn everything(goal: f64, crowding: Crowding) -> Self {
+        Self { edge_limit: 10, changes_vertices: true, crowding, goal }
     }
 }
 
 /// What a point inserted for a tet of `grade` must keep to; `size` is the average size of the tet's vertices.
-fn insertion_limits(grade: f64, is_off_boundary: bool, size: f64) -> InsertionLimits {
+fn insertion_limits(grade: f64, is_off_boundary: bool, size: f64, crowding: Crowding) -> InsertionLimits {
     let grade_at = |degrees: f64| degrees.to_radians().sin();
     if grade < grade_at(FLAT_BELOW) {
-        InsertionLimits { floor: FLAT_GAIN * grade, spacing: 0.0, every_edge: true }
+        InsertionLimits { floor: GAIN * grade, spacing: 0.0, every_edge: true }
     } else if grade < grade_at(BAD_BELOW) {
-        InsertionLimits { floor: grade_at(BAD_BELOW), spacing: 0.0, every_edge: true }
+        let spacing = if crowding == Crowding::Allowed { 0.0 } else { SPACING * size };
+        InsertionLimits { floor: grade_at(BAD_BELOW), spacing, every_edge: true }
     } else {
         let spacing = if is_off_boundary { 0.0 } else { SPACING * size };
         InsertionLimits { floor: grade_at(FLOOR), spacing, every_edge: is_off_boundary }
@@ -100,7 +123,7 @@ impl TreatJob<'_> {
         store.release_claims();
         if done {
             let Kit { reconnector, touched, .. } = kit;
-            touched.extend(reconnector.scratch.plan.new.iter().flatten());
+            touched.made.extend(reconnector.scratch.plan.new.iter().flatten());
         }
         Ok(done)
     }
@@ -131,7 +154,7 @@ impl TreatJob<'_> {
         let mut moved = false;
         for vertex in row.into_iter().filter(|v| !self.is_fixed(*v)) {
             if kit.smoother.optimize(store, vertex, &self.measure()) == Outcome::Accepted {
-                kit.touched.push(vertex);
+                kit.touched.moved.push(vertex);
                 moved = true;
             }
             store.release_claims();
@@ -163,7 +186,7 @@ impl TreatJob<'_> {
         let known = row.iter().filter_map(|v| self.sizes.get(v.index()).copied());
         let size = known.clone().sum::<f64>() / known.count().max(1) as f64;
         let grade = BiasedSine.grade(store.corners(row));
-        let limits = insertion_limits(grade, self.measure().is_strict(&row), size);
+        let limits = insertion_limits(grade, self.measure().is_strict(&row), size, self.treatment.crowding);
         let Kit { slivers, reconnector, .. } = kit;
         let scratch = &mut reconnector.scratch;
         let (mut outcome, mut place) =
@@ -171,8 +194,9 @@ impl TreatJob<'_> {
         let is_bad = grade < BAD_BELOW.to_radians().sin();
         if is_bad && !matches!(outcome, Outcome::Accepted | Outcome::ClaimLost) {
             store.release_claims();
-            let limits = (GROWN_GAIN * grade, GROWN_GAIN);
-            (outcome, place) = plan_grown_insertion(store, (tet, vertex), limits, &self.measure(), slivers, scratch);
+            let limits = InsertionLimits { floor: GAIN * grade, ..limits };
+            (outcome, place) =
+                plan_grown_insertion(store, (tet, vertex), (limits, GAIN), &self.measure(), slivers, scratch);
         }
         if outcome == Outcome::Accepted {
             store.set_point(vertex, place);
@@ -226,15 +250,43 @@ impl Job for TreatJob<'_> {
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
+
     use super::*;
+    use crate::index::Label;
 
     #[test]
     fn the_better_the_tet_the_more_is_asked_of_a_point() {
         let sine = |degrees: f64| degrees.to_radians().sin();
-        let limits = |degrees: f64, off: bool| insertion_limits(sine(degrees), off, 2.0);
-        assert_eq!((limits(1.0, false).floor, limits(1.0, false).spacing), (FLAT_GAIN * sine(1.0), 0.0));
-        assert_eq!((limits(7.0, false).floor, limits(7.0, false).spacing), (sine(10.0), 0.0));
-        assert_eq!((limits(12.0, false).floor, limits(12.0, false).spacing), (sine(18.0), 1.0));
-        assert_eq!((limits(12.0, true).floor, limits(12.0, true).spacing), (sine(18.0), 0.0));
+        let limits = |degrees, off, crowding| insertion_limits(sine(degrees), off, 2.0, crowding);
+        for crowding in [Crowding::Allowed, Crowding::Refused] {
+            let flat = limits(1.0, false, crowding);
+            assert_eq!((flat.floor, flat.spacing), (GAIN * sine(1.0), 0.0));
+            let bad = limits(7.0, false, crowding);
+            let spacing = if crowding == Crowding::Allowed { 0.0 } else { 1.0 };
+            assert_eq!((bad.floor, bad.spacing), (sine(10.0), spacing));
+            let beside = limits(12.0, false, crowding);
+            assert_eq!((beside.floor, beside.spacing), (sine(18.0), 1.0));
+            let off = limits(12.0, true, crowding);
+            assert_eq!((off.floor, off.spacing), (sine(18.0), 0.0));
+        }
+    }
+
+    #[test]
+    fn points_crowd_around_few_bad_tets_only() {
+        // Flat tets beside each other on a strip, one bad one among good ones, and all of them bad.
+        for (bad, expected) in [(1, Crowding::Allowed), (300, Crowding::Refused)] {
+            let mut complex = TetComplex::with_points(Vec::new()).unwrap();
+            let tets: Vec<TetId> = (0..300)
+                .map(|i| {
+                    let height = if i < bad { 0.05 } else { 1.0 };
+                    let base = DVec3::X * (2.0 * f64::from(i));
+                    let corners = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::new(0.3, 0.3, height)];
+                    let row = corners.map(|corner| complex.push_point(base + corner).unwrap());
+                    complex.create_tet(row, Label(1)).unwrap()
+                })
+                .collect();
+            assert_eq!(Crowding::for_mesh(&complex, &tets), expected);
+        }
     }
 }

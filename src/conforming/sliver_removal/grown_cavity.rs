@@ -23,7 +23,7 @@
 
 use glam::DVec3;
 
-use super::{SliverScratch, collect_border};
+use super::{InsertionLimits, SliverScratch, collect_border};
 use crate::conforming::flip_criteria::{TetMeasure, strict};
 use crate::conforming::flips::{FlipScratch, Outcome};
 use crate::index::{TetFace, TetId, VertexId};
@@ -33,6 +33,11 @@ use crate::mesh::tet_store::TetStore;
 const MAX_GROWN: usize = 28;
 /// Tets that join without a better star before growth stops: a star that sees over an edge needs all tets around it.
 const PATIENCE: usize = 12;
+
+/// Steps of the search with each tet that joins; the place follows from tet to tet.
+const FIRST_STEPS: usize = 3;
+/// A star within this factor of what is asked for is searched to the end.
+const PROMISING: f64 = 0.5;
 
 /// The best star on the way.
 struct Best {
@@ -44,11 +49,11 @@ struct Best {
 
 /// Plans the insertion of `vertex` (a spare one without tets) into a polyhedron grown around `tet`. The plan is in
 /// `flips`; the second value is the place of the vertex, to be set before the commit. Every new tet is better than
-/// `floor` and than the worst tet that goes, by the factor `gain`.
+/// the floor and than the worst tet that goes, by the factor `gain`.
 pub fn plan_grown_insertion<S: TetStore + ?Sized, M: TetMeasure>(
     store: &mut S,
     (tet, vertex): (TetId, VertexId),
-    (floor, gain): (f64, f64),
+    (limits, gain): (InsertionLimits, f64),
     measure: &M,
     scratch: &mut SliverScratch,
     flips: &mut FlipScratch,
@@ -69,10 +74,13 @@ pub fn plan_grown_insertion<S: TetStore + ?Sized, M: TetMeasure>(
         old_grade = old_grade.min(if measure.is_strict(&store.vertices(newest)) { strict(grade) } else { grade });
         collect_border(store, scratch);
         scratch.fill_star(store, measure);
-        let (moved, grade) = scratch.star.search(measure, place);
+        let (moved, mut grade) = scratch.star.search_steps(measure, place, FIRST_STEPS);
         place = moved;
-        let bound = best.as_ref().map_or(floor, |b| b.grade).max(gain * old_grade);
-        if grade > bound && scratch.star.is_visible_from(place) {
+        let bound = best.as_ref().map_or(limits.floor, |b| b.grade).max(gain * old_grade);
+        if grade > PROMISING * bound {
+            (place, grade) = scratch.star.search(measure, place);
+        }
+        if grade > bound && scratch.star.keeps_distance(place, limits.spacing) && scratch.star.is_visible_from(place) {
             best = Some(Best { count: scratch.cavity.len(), grade, old_grade, place });
             waited = 0;
         } else {
