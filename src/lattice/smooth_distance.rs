@@ -314,21 +314,62 @@ impl<'a> LabelBand<'a> {
         self.image.at(i, j, k) == self.label
     }
 
-    /// Whether no voxel of the same side without the other side around it is near.
-    fn is_thin(&self, number: usize, steps: &[[i32; 3]]) -> bool {
+    /// Place in the box of a voxel that is at least so far inside of it.
+    fn deep_in_box(&self, voxel: [u32; 3], depth: usize) -> Option<usize> {
+        let at: [usize; 3] = std::array::from_fn(|d| voxel[d] as usize - self.low[d]);
+        let is_deep = (0..3).all(|d| at[d] >= depth && at[d] + depth < self.size[d]);
+        is_deep.then(|| at[0] + self.size[0] * (at[1] + self.size[1] * at[2]))
+    }
+
+    /// For each voxel of the box 0 where both sides are among it and its neighbours, else 1 inside of the label, 2 outside.
+    fn sides(&self) -> Vec<u8> {
+        let [ni, nj, _] = self.image.grid().size();
+        let mut sides = Vec::with_capacity(self.numbers.len());
+        for k in 0..self.size[2] {
+            for j in 0..self.size[1] {
+                let first = self.low[0] + ni * (self.low[1] + j + nj * (self.low[2] + k));
+                let row = &self.image.voxels()[first..first + self.size[0]];
+                sides.extend(row.iter().map(|label| if *label == self.label { 1 } else { 2 }));
+            }
+        }
+        for (side, number) in sides.iter_mut().zip(&self.numbers) {
+            if self.is_first.get(*number as usize).copied().unwrap_or(false) {
+                *side = 0;
+            }
+        }
+        sides
+    }
+
+    /// Whether no voxel of the same side without the other side around it is near; `strides` are the steps in `sides`.
+    fn is_thin(&self, number: usize, steps: &[[i32; 3]], strides: &[isize], sides: &[u8]) -> bool {
+        if !self.is_first[number] {
+            return false;
+        }
         let voxel = self.voxels[number];
         let side = self.is_inside(voxel);
-        self.is_first[number]
-            && !steps.iter().any(|step| {
-                let other = self.clamped(voxel, *step);
-                let other_number = self.number(other, [0; 3]);
-                self.is_inside(other) == side && (other_number == NONE || !self.is_first[other_number as usize])
-            })
+        if let Some(at) = self.deep_in_box(voxel, THIN_REACH as usize) {
+            let wanted = if side { 1 } else { 2 };
+            return !strides.iter().any(|stride| sides[at.wrapping_add_signed(*stride)] == wanted);
+        }
+        !steps.iter().any(|step| {
+            let other = self.clamped(voxel, *step);
+            let other_number = self.number(other, [0; 3]);
+            self.is_inside(other) == side && (other_number == NONE || !self.is_first[other_number as usize])
+        })
     }
 
     /// Distance to the nearest voxel of the other side within two voxels, mm.
-    fn distance_to_other_side(&self, voxel: [u32; 3], steps: &[([i32; 3], f64)]) -> f64 {
+    fn distance_to_other_side(&self, voxel: [u32; 3], steps: &[([i32; 3], f64)], strides: &[isize]) -> f64 {
         let side = self.is_inside(voxel);
+        let grid = self.image.grid().size();
+        let [i, j, k] = voxel.map(|v| v as usize);
+        if [i, j, k].iter().zip(grid).all(|(at, size)| *at >= 2 && at + 2 < size) {
+            let at = i + grid[0] * (j + grid[1] * k);
+            let is_other =
+                |stride: &isize| (self.image.voxels()[at.wrapping_add_signed(*stride)] == self.label) != side;
+            let found = strides.iter().position(is_other).unwrap_or(steps.len() - 1);
+            return steps[found].1;
+        }
         let is_other = |step: &[i32; 3]| {
             let other = self.clamped(voxel, *step);
             self.is_inside(other) != side
@@ -347,11 +388,16 @@ impl<'a> LabelBand<'a> {
             steps
         };
         let count = self.voxels.len();
-        let thin: Vec<bool> = (0..count).into_par_iter().with_min_len(CHUNK).map(|n| self.is_thin(n, &near)).collect();
+        let strides: Vec<isize> = near.iter().map(|step| stride(*step, self.size)).collect();
+        let sides = self.sides();
+        let is_thin = |n: usize| self.is_thin(n, &near, &strides, &sides);
+        let thin: Vec<bool> = (0..count).into_par_iter().with_min_len(CHUNK).map(is_thin).collect();
+        drop(sides);
+        let strides: Vec<isize> = lengths.iter().map(|(step, _)| stride(*step, self.image.grid().size())).collect();
         let (diagonal, mean) = (spacing.length(), spacing.element_sum() / 3.0);
         let of_voxel = |n: usize| {
             let voxel = self.voxels[n];
-            let distance = self.distance_to_other_side(voxel, &lengths);
+            let distance = self.distance_to_other_side(voxel, &lengths, &strides);
             let margin = MARGIN * distance.min(diagonal);
             let low = (distance - diagonal).max(margin);
             let start = (distance - 0.5 * mean).max(0.3 * distance).clamp(low, distance);
@@ -369,9 +415,14 @@ impl<'a> LabelBand<'a> {
     /// Minimises the energy and returns the spline.
     fn solve(&self, context: &RunContext) -> Result<LabelDistance> {
         let count = self.voxels.len();
+        let strides = NEIGHBORS.map(|step| stride(step, self.size));
         let row = |n: usize| {
-            NEIGHBORS.map(|step| {
-                let number = self.number(self.voxels[n], step);
+            let at = self.deep_in_box(self.voxels[n], 1);
+            std::array::from_fn(|step| {
+                let number = match at {
+                    Some(at) => self.numbers[at.wrapping_add_signed(strides[step])],
+                    None => self.number(self.voxels[n], NEIGHBORS[step]),
+                };
                 if number == NONE { count as u32 } else { number }
             })
         };
@@ -407,6 +458,12 @@ impl<'a> LabelBand<'a> {
         }
         spline
     }
+}
+
+/// A step in an array of voxels.
+fn stride(step: [i32; 3], size: [usize; 3]) -> isize {
+    let [i, j, k] = step.map(|s| s as isize);
+    i + size[0] as isize * (j + size[1] as isize * k)
 }
 
 /// Steps other than zero with components up to `reach`, the shortest first.
