@@ -3,7 +3,8 @@
 //! # Method
 //! - The score of a tet is its smallest dihedral angle in degrees, or 0.6 times what the largest lacks to 180 where that is
 //!   less; inverted tets rank below zero by how far they are inverted.
-//! - Angles are compared by their cosines; the angle itself, by a polynomial, is taken once per tet or per ball.
+//! - Angles are compared by the squares of their cosines with the cosines' signs, which need no roots; the angle itself, by a
+//!   polynomial, is taken once per tet or per ball.
 //! - A [`Ball`] keeps for each tet of a vertex what does not change when the vertex moves: the opposite face, its normal and
 //!   its area. A trial that fails is remembered: the tet that failed it is asked first by the next trial.
 //!
@@ -21,12 +22,12 @@ use crate::lattice::scaffold::SCAFFOLD_ANGLE;
 /// The largest angle counts this much less than the smallest: 15 and 155 degrees score alike.
 const LARGE_ANGLE_WEIGHT: f64 = 0.6;
 
-/// Cosines at their worst over some tets.
+/// Cosines at their worst over some tets, as signed squares.
 #[derive(Debug, Clone, Copy)]
 struct Worst {
-    /// Cosine of the smallest angle.
+    /// Of the smallest angle.
     acute: f64,
-    /// Negated cosine of the largest angle.
+    /// Of what the largest angle lacks to 180 degrees.
     obtuse: f64,
     /// Below zero where a tet is flat or inverted: how far.
     inverted: f64,
@@ -45,13 +46,20 @@ impl Worst {
         }
     }
 
+    /// Whether a join that began with `other` has become worse than that.
+    #[inline]
+    fn is_below(&self, other: &Self) -> bool {
+        self.acute > other.acute || self.obtuse > other.obtuse || self.inverted < other.inverted
+    }
+
     /// Degrees; zero or negative for flat and inverted tets.
     #[inline]
     fn score(self) -> f64 {
         if self.inverted < 0.0 {
             return self.inverted;
         }
-        angle_of(self.acute).min(LARGE_ANGLE_WEIGHT * angle_of(self.obtuse))
+        let angle = |square: f64| angle_of(square.abs().sqrt().copysign(square));
+        angle(self.acute).min(LARGE_ANGLE_WEIGHT * angle(self.obtuse))
     }
 }
 
@@ -74,6 +82,12 @@ fn angle_of(cosine: f64) -> f64 {
     if cosine < 0.0 { 180.0 - angle } else { angle }
 }
 
+/// The square of a number with its sign: it orders as the number does.
+#[inline]
+fn signed_square(x: f64) -> f64 {
+    x * x.abs()
+}
+
 /// A score to be reached, as the cosines that may not be passed.
 #[derive(Debug, Clone, Copy)]
 pub struct Threshold {
@@ -81,7 +95,7 @@ pub struct Threshold {
     scaffold: Limits,
 }
 
-/// Cosines that the angles of a tet may not pass.
+/// Cosines that the angles of a tet may not pass, as signed squares.
 #[derive(Debug, Clone, Copy)]
 struct Limits {
     acute: f64,
@@ -127,7 +141,7 @@ impl Limits {
             // Only tets that are inverted further fail.
             return Self { acute: f64::INFINITY, obtuse: f64::INFINITY, inverted: score };
         }
-        let cosine = |degrees: f64| degrees.min(180.0).to_radians().cos();
+        let cosine = |degrees: f64| signed_square(degrees.min(180.0).to_radians().cos());
         Self { acute: cosine(score), obtuse: cosine(score / LARGE_ANGLE_WEIGHT), inverted: 0.0 }
     }
 
@@ -148,7 +162,7 @@ fn inversion_of(volume: f64, corners: [DVec3; 4]) -> f64 {
 fn worst_of(normals: [DVec3; 4], scale: [f64; 4]) -> Worst {
     let (mut acute, mut obtuse) = (-1.0f64, -1.0f64);
     for (k, l) in [(2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1)] {
-        let cosine = -normals[k].dot(normals[l]) * (scale[k] * scale[l]);
+        let cosine = -signed_square(normals[k].dot(normals[l])) * (scale[k] * scale[l]);
         acute = if cosine > acute { cosine } else { acute };
         obtuse = if -cosine > obtuse { -cosine } else { obtuse };
     }
@@ -166,9 +180,10 @@ fn worst_of_tet(corners: [DVec3; 4]) -> Worst {
     worst_of(normals, scale)
 }
 
+/// Reciprocals of the squared lengths.
 #[inline]
 fn scales_of(normals: &[DVec3; 4]) -> [f64; 4] {
-    let of = |n: DVec3| n.length_squared().sqrt().recip();
+    let of = |n: DVec3| n.length_squared().recip();
     [of(normals[0]), of(normals[1]), of(normals[2]), of(normals[3])]
 }
 
@@ -203,7 +218,7 @@ struct Opposite {
     corners: [DVec3; 3],
     /// Outward normal, length twice the area.
     normal: DVec3,
-    /// Reciprocal of the normal's length.
+    /// Reciprocal of the normal's squared length.
     scale: f64,
 }
 
@@ -214,7 +229,7 @@ impl Opposite {
         let volume = self.normal.dot(a);
         // Outward normals of the faces opposite to the three corners.
         let normals = [self.normal, c.cross(b), a.cross(c), b.cross(a)];
-        let of = |n: DVec3| n.length_squared().sqrt().recip();
+        let of = |n: DVec3| n.length_squared().recip();
         let scale = [self.scale, of(normals[1]), of(normals[2]), of(normals[3])];
         if !(volume > 0.0) || !scale.iter().all(|s| s.is_finite()) {
             let [a, b, c] = self.corners;
@@ -239,7 +254,7 @@ impl Ball {
         for (corners, part) in faces {
             let [a, b, c] = corners;
             let normal = (b - a).cross(c - a);
-            let face = Opposite { corners, normal, scale: normal.length_squared().sqrt().recip() };
+            let face = Opposite { corners, normal, scale: normal.length_squared().recip() };
             match part {
                 Part::Mesh => self.faces.push(face),
                 Part::Scaffold => self.scaffold.push(face),
@@ -264,11 +279,13 @@ impl Ball {
         for (at, face) in self.faces.iter().enumerate() {
             let worst = face.worst_with(place);
             let joined = lowest.join(worst);
-            let score = joined.score();
-            if score < first_score {
-                (first, first_score) = (at, score);
+            if joined.is_below(&lowest) {
+                let score = joined.score();
+                if score < first_score {
+                    (first, first_score) = (at, score);
+                }
+                lowest = joined;
             }
-            lowest = joined;
         }
         if first > 0 {
             self.faces.swap(0, first);
