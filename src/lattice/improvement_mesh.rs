@@ -10,6 +10,8 @@
 //! # Cost
 //! About 24 bytes per vertex and 20 per tet beside the mesh.
 
+use std::ops::Range;
+
 use glam::DVec3;
 use rustc_hash::FxHashMap;
 
@@ -19,6 +21,7 @@ use crate::lattice::candidate_mesh::{CandidateMesh, MergeableCube};
 use crate::lattice::change_log::ChangeLog;
 use crate::lattice::element_score::{Ball, Part, Threshold, part_fails, part_score};
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
+use crate::lattice::surface_stars::SurfaceStars;
 use crate::mesh::numbering::TET_FACES;
 
 /// A dead slot.
@@ -43,6 +46,9 @@ pub struct ImprovementMesh<'a> {
     free: Vec<u32>,
     scratch: Ball,
     log: ChangeLog,
+    stars: SurfaceStars,
+    /// The vertices that the scaffold brought.
+    still: Range<u32>,
 }
 
 /// The state of a mesh at some time.
@@ -92,6 +98,8 @@ impl<'a> ImprovementMesh<'a> {
         let mut result = Self {
             side_set: vec![0; points.len()],
             log: ChangeLog::new(tets.len()),
+            stars: SurfaceStars::new(points.len()),
+            still: in_mesh as u32..points.len() as u32,
             points,
             tets,
             labels,
@@ -162,6 +170,7 @@ impl<'a> ImprovementMesh<'a> {
         self.side_set = state.side_set;
         self.free = state.free;
         self.log = state.log;
+        self.stars = SurfaceStars::new(self.points.len());
     }
 
     fn intern(&mut self, set: Vec<Side>) -> u32 {
@@ -192,10 +201,26 @@ impl<'a> ImprovementMesh<'a> {
             || self.sides(v).iter().all(|s| self.sides(w).contains(s))
     }
 
+    /// Whether a vertex is one of the scaffold's own, which are where the lattice has them.
+    #[inline]
+    pub fn is_still(&self, v: u32) -> bool {
+        self.still.contains(&v)
+    }
+
     /// Tets of a vertex.
     #[inline]
     pub fn ball(&self, v: u32) -> &[u32] {
         &self.balls[v as usize]
+    }
+
+    /// The tets of some vertices, each once, in order.
+    pub fn tets_of(&self, mut vertices: Vec<u32>) -> Vec<u32> {
+        vertices.sort_unstable();
+        vertices.dedup();
+        let mut tets: Vec<u32> = vertices.iter().flat_map(|v| self.ball(*v)).copied().collect();
+        tets.sort_unstable();
+        tets.dedup();
+        tets
     }
 
     /// Whether a slot holds a tet.
@@ -262,18 +287,21 @@ impl<'a> ImprovementMesh<'a> {
         self.ball(a).iter().copied().filter(|t| self.tets[*t as usize].contains(&b)).collect()
     }
 
+    /// Brings the stars of surface vertices up to date.
+    pub fn refresh_stars(&mut self) {
+        let mut stars = std::mem::take(&mut self.stars);
+        stars.refresh(self);
+        self.stars = stars;
+    }
+
+    /// Surface faces by vertex as of the last refresh, without those that changed since.
+    #[inline]
+    pub fn stars(&self) -> &SurfaceStars {
+        &self.stars
+    }
+
     /// Faces at a vertex that separate two sides.
     pub fn surface_faces(&self, v: u32) -> Vec<SurfaceFace> {
-        self.surface_faces_among(v, |_| true)
-    }
-
-    /// Faces that separate two sides of which a vertex is the one with the smallest number: over all vertices each face once.
-    pub fn own_surface_faces(&self, v: u32) -> Vec<SurfaceFace> {
-        self.surface_faces_among(v, |other| other > v)
-    }
-
-    /// Faces at a vertex that separate two sides, and whose other vertices are wanted.
-    fn surface_faces_among(&self, v: u32, is_wanted: impl Fn(u32) -> bool) -> Vec<SurfaceFace> {
         // Smaller and larger vertex, tet, order of every face at v; equal pairs are the two tets of a face.
         let mut entries: Vec<(u64, u32, [u32; 2])> = Vec::with_capacity(self.ball(v).len());
         for &t in self.ball(v) {
@@ -284,7 +312,7 @@ impl<'a> ImprovementMesh<'a> {
             let [p, q, r] = TET_FACES[own];
             let rest = [tet[p], tet[q], tet[r]];
             // A face between two sides has all its vertices on the surface.
-            let on = rest.map(|w| is_wanted(w) && self.is_on_surface(w));
+            let on = rest.map(|w| self.is_on_surface(w));
             for (first, second) in [(0, 1), (1, 2), (2, 0)] {
                 if on[first] && on[second] {
                     let (b, a) = (rest[first], rest[second]);
@@ -357,6 +385,7 @@ impl<'a> ImprovementMesh<'a> {
     fn exchange(&mut self, old: &[u32], new: &[([u32; 4], Label)]) -> Vec<u32> {
         for &t in old {
             for v in std::mem::replace(&mut self.tets[t as usize], DEAD) {
+                self.stars.invalidate(v);
                 let ball = &mut self.balls[v as usize];
                 if let Some(at) = ball.iter().position(|u| *u == t) {
                     ball.swap_remove(at);
@@ -373,7 +402,10 @@ impl<'a> ImprovementMesh<'a> {
             });
             self.tets[slot as usize] = *tet;
             self.labels[slot as usize] = *label;
-            tet.iter().for_each(|v| self.balls[*v as usize].push(slot));
+            for v in tet {
+                self.stars.invalidate(*v);
+                self.balls[*v as usize].push(slot);
+            }
             slots.push(slot);
         }
         slots

@@ -4,7 +4,8 @@
 //! Each round:
 //! 1. Volumes: the mesh's volume per label is compared with the voxels'; the offsets of the labels' surfaces are set so that
 //!    the difference would vanish, by a few relaxation steps over the areas between labels.
-//! 2. Surface vertices relax along their surface and onto it; vertices of low score inside follow.
+//! 2. Surface vertices relax along their surface and onto it, one color after another
+//!    ([`surface_stars`](crate::lattice::surface_stars)); vertices of low score inside follow.
 //! 3. The tets below the wanted score are gone through from the worst: their inner vertices are optimised, local
 //!    transformations are tried on what is still low; in the last rounds surface vertices are optimised too.
 //!
@@ -23,7 +24,7 @@
 //! The scaffold keeps parts of the surface apart across gaps of background; `surface_crossings` counts what crosses all the
 //! same, for a finding.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -87,8 +88,17 @@ const SLACK: f64 = 0.12;
 /// in a thousand stay off their surface; below the second score an angle is worse than half a voxel.
 const LAST_PASSES: [(f64, f64); 4] = [(WANTED, 0.2), (WANTED, 0.3), (12.5, 0.45), (12.5, 0.6)];
 
+/// Times that each of the last passes is made where it still helps.
+const LAST_TRIES: usize = 3;
+
+/// What the vertices around a low tet are to score more than that in the last passes, degrees: it leaves room for the tet.
+const ROOM: f64 = 6.0;
+
 /// Score that every tet must reach, degrees: dihedral angles of 12 to 160.
 const LEAST: f64 = 12.1;
+
+/// Tets, or vertices, per part of a sum.
+const SUM_CHUNK: usize = 1 << 16;
 
 /// Largest offset of a label's surface, in smallest spacings.
 const LARGEST_OFFSET: f64 = 0.5;
@@ -151,7 +161,7 @@ pub fn improve(
     summary.low_before = low_tets(&work, wanted).len();
     let advance = |passes: usize| {
         let shares = (progress_shares::DEFORMED, progress_shares::IMPROVED);
-        context.progress("improvement", progress_shares::within(shares, passes, ROUNDS + LAST_PASSES.len() + 1));
+        context.progress("improvement", progress_shares::within(shares, passes, ROUNDS + 2));
     };
     for round in 0..ROUNDS {
         advance(round);
@@ -167,20 +177,9 @@ pub fn improve(
             update_offsets(&mut work, &wanted_volumes, image);
         }
     }
-    for (pass, (score, slack)) in LAST_PASSES.into_iter().enumerate() {
-        advance(ROUNDS + pass);
-        let wanted = score.max(options.min_dihedral_angle);
-        let slack = slack * image.grid().spacing().min_element();
-        let effort = Effort { wanted, surfaces: Surfaces::MayYield, slack };
-        let low = low_tets(&work, wanted);
-        let may_transform = options.transformations == Transformations::Local;
-        if may_transform {
-            loosen_all(&mut work);
-        }
-        let counts = may_transform.then_some(&mut summary.counts);
-        raise_low_tets(&mut work, low, &effort, counts, context)?;
-    }
-    advance(ROUNDS + LAST_PASSES.len());
+    advance(ROUNDS);
+    raise_last(&mut work, options, image.grid().spacing().min_element(), &mut summary.counts, context)?;
+    advance(ROUNDS + 1);
     if options.transformations == Transformations::Local {
         summary.counts.short_edges = contract_short_edges(&mut work, wanted);
     }
@@ -204,19 +203,18 @@ pub fn improve(
 /// One sweep over the surface vertices, then the vertices inside that low tets have. Returns the low tets, worst first.
 fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunContext) -> Result<Vec<(f64, u32)>> {
     let bound = Threshold::of(bound);
-    let mut ball = Ball::default();
-    for v in 0..work.points.len() as u32 {
-        if v % 4096 == 0 {
-            context.check()?;
-        }
-        if work.is_on_surface(v)
-            && !work.ball(v).is_empty()
-            && let Some(place) = plan_relaxation(work, v, &bound, &mut ball)
-        {
-            work.points[v as usize] = place;
-        }
+    work.refresh_stars();
+    for set in work.stars().by_color(work) {
+        context.check()?;
+        // No vertex of the set is in the ball of another: all see the same places, whoever is first.
+        let plan = |ball: &mut Ball, v: &u32| plan_relaxation(work, *v, &bound, ball).map(|place| (*v, place));
+        let moves: Vec<(u32, DVec3)> =
+            set.par_iter().with_min_len(128).map_init(Ball::default, plan).flatten_iter().collect();
+        moves.into_iter().for_each(|(v, place)| work.points[v as usize] = place);
     }
-    let mut candidates: Vec<u32> = low_tets(work, wanted).into_iter().map(|(_, t)| t).collect();
+    let threshold = Threshold::of(wanted);
+    let tets = (0..work.tets.len() as u32).into_par_iter().with_min_len(4096);
+    let mut candidates: Vec<u32> = tets.filter(|t| work.is_live(*t) && work.fails(*t, &threshold)).collect();
     let mut low: Vec<u32> = candidates.iter().flat_map(|t| work.tets[*t as usize]).collect();
     low.sort_unstable();
     low.dedup();
@@ -228,6 +226,51 @@ fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunC
     candidates.sort_unstable();
     candidates.dedup();
     Ok(low_among(work, candidates.into_par_iter(), wanted))
+}
+
+/// The last passes over what is still low, each repeated as long as that helps; `voxel` is the smallest spacing, mm.
+fn raise_last(
+    work: &mut ImprovementMesh,
+    options: &ImprovementOptions,
+    voxel: f64,
+    counts: &mut TransformationCounts,
+    context: &RunContext,
+) -> Result<()> {
+    let may_transform = options.transformations == Transformations::Local;
+    if may_transform {
+        loosen_all(work);
+    }
+    let highest = WANTED.max(options.min_dihedral_angle);
+    let mut low = low_tets(work, highest);
+    for (score, slack) in LAST_PASSES {
+        let wanted = score.max(options.min_dihedral_angle);
+        let effort = Effort { wanted, surfaces: Surfaces::MayYield, slack: slack * voxel };
+        for _ in 0..LAST_TRIES {
+            let below: Vec<(f64, u32)> = low.iter().copied().filter(|(score, _)| *score < wanted).collect();
+            if below.is_empty() {
+                break;
+            }
+            // All that changes is at vertices of the low tets or next to them.
+            let near = vertices_of(work, &work.tets_of(low.iter().flat_map(|(_, t)| work.tets[*t as usize]).collect()));
+            for v in near.iter().filter(|v| !work.is_on_surface(**v)).copied().collect::<Vec<u32>>() {
+                optimize_vertex(work, v, wanted + ROOM, effort.slack);
+            }
+            raise_low_tets(work, below.clone(), &effort, may_transform.then_some(&mut *counts), context)?;
+            low = low_among(work, work.tets_of(near).into_par_iter(), highest);
+            if low.iter().filter(|(score, _)| *score < wanted).eq(&below) {
+                break;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The vertices of some tets, each once.
+fn vertices_of(mesh: &ImprovementMesh, tets: &[u32]) -> Vec<u32> {
+    let mut vertices: Vec<u32> = tets.iter().flat_map(|t| mesh.tets[*t as usize]).collect();
+    vertices.sort_unstable();
+    vertices.dedup();
+    vertices
 }
 
 /// Takes smoothing back around tets below the least score, and makes what is there as good as it gets.
@@ -259,7 +302,7 @@ fn undo_low(
 /// Makes nearly flat tets of the scaffold better.
 fn loosen_all(work: &mut ImprovementMesh) {
     let limit = Threshold::of(STIFF_SCAFFOLD_ANGLE);
-    let is_stiff = |t: &u32| work.is_live(*t) && work.part(*t) == Part::Scaffold && tet_fails(work.corners(*t), &limit);
+    let is_stiff = |t: &u32| work.part(*t) == Part::Scaffold && work.is_live(*t) && tet_fails(work.corners(*t), &limit);
     let stiff: Vec<u32> = (0..work.tets.len() as u32).into_par_iter().with_min_len(4096).filter(is_stiff).collect();
     for t in stiff {
         if work.is_live(t) && work.part(t) == Part::Scaffold {
@@ -327,29 +370,9 @@ fn voxel_volumes(image: &LabelImage) -> Vec<f64> {
 
 /// Sets the offsets so that each label's volume would become the wanted one.
 fn update_offsets(mesh: &mut ImprovementMesh, wanted: &[f64], image: &LabelImage) {
-    let mut volumes = vec![0.0; wanted.len()];
-    for t in (0..mesh.tets.len() as u32).filter(|t| mesh.is_live(*t)) {
-        volumes[mesh.labels[t as usize].index()] += volume6(mesh.corners(t)) / 6.0;
-    }
-    let mut areas: FxHashMap<(usize, usize), f64> = FxHashMap::default();
-    for v in 0..mesh.points.len() as u32 {
-        if !mesh.is_on_surface(v) || mesh.ball(v).is_empty() {
-            continue;
-        }
-        for face in mesh.own_surface_faces(v) {
-            let [a, b] = face.others;
-            let is_border = |w: u32| mesh.sides(w).iter().any(|s| matches!(s, Side::Border(_)));
-            if face.outer.is_none() && [v, a, b].into_iter().all(is_border) {
-                continue;
-            }
-            let [p, q, r]: [DVec3; 3] = [v, a, b].map(|w| mesh.points[w as usize]);
-            let inner = mesh.labels[face.inner as usize].index();
-            let outer = face.outer.map_or(0, |o| mesh.labels[o as usize].index());
-            *areas.entry((inner.min(outer), inner.max(outer))).or_default() += (q - p).cross(r - p).length() / 2.0;
-        }
-    }
-    let mut pairs: Vec<((usize, usize), f64)> = areas.into_iter().collect();
-    pairs.sort_unstable_by_key(|(pair, _)| *pair);
+    let volumes = volumes_of(mesh, wanted.len());
+    mesh.refresh_stars();
+    let pairs = areas_between(mesh);
     let mut change = vec![0.0; wanted.len()];
     // Gauss-Seidel for sum over neighbours b of area(a, b) (x_a - x_b) = missing volume of a; the background stays at 0.
     for _ in 0..30 {
@@ -370,4 +393,53 @@ fn update_offsets(mesh: &mut ImprovementMesh, wanted: &[f64], image: &LabelImage
     for (offset, change) in mesh.surface.offsets_mut().iter_mut().zip(change) {
         *offset = (*offset + change).clamp(-largest, largest);
     }
+}
+
+/// Volume per label, mm^3.
+fn volumes_of(mesh: &ImprovementMesh, labels: usize) -> Vec<f64> {
+    let of_chunk = |(chunk, rows): (usize, &[[u32; 4]])| {
+        let mut volumes = vec![0.0; labels];
+        for t in (chunk * SUM_CHUNK) as u32..(chunk * SUM_CHUNK + rows.len()) as u32 {
+            if mesh.part(t) == Part::Mesh && mesh.is_live(t) {
+                volumes[mesh.labels[t as usize].index()] += volume6(mesh.corners(t)) / 6.0;
+            }
+        }
+        volumes
+    };
+    let parts: Vec<Vec<f64>> = mesh.tets.par_chunks(SUM_CHUNK).enumerate().map(of_chunk).collect();
+    let mut volumes = vec![0.0; labels];
+    for part in parts {
+        volumes.iter_mut().zip(part).for_each(|(sum, part)| *sum += part);
+    }
+    volumes
+}
+
+/// Area between each pair of labels, mm^2, the background among them but not the image border; the stars are up to date.
+fn areas_between(mesh: &ImprovementMesh) -> Vec<((usize, usize), f64)> {
+    let is_border = |w: u32| mesh.sides(w).iter().any(|s| matches!(s, Side::Border(_)));
+    let of_chunk = |chunk: usize| {
+        let mut areas: FxHashMap<(usize, usize), f64> = FxHashMap::default();
+        for v in chunk * SUM_CHUNK..((chunk + 1) * SUM_CHUNK).min(mesh.points.len()) {
+            let v = v as u32;
+            // Each face once, at its vertex of the smallest number.
+            let star = mesh.stars().of(v).unwrap_or(&[]);
+            for face in star.iter().filter(|face| face.others.iter().all(|w| *w > v)) {
+                let [a, b] = face.others;
+                if face.outer.is_none() && [v, a, b].into_iter().all(is_border) {
+                    continue;
+                }
+                let [p, q, r]: [DVec3; 3] = [v, a, b].map(|w| mesh.points[w as usize]);
+                let inner = mesh.labels[face.inner as usize].index();
+                let outer = face.outer.map_or(0, |o| mesh.labels[o as usize].index());
+                *areas.entry((inner.min(outer), inner.max(outer))).or_default() += (q - p).cross(r - p).length() / 2.0;
+            }
+        }
+        areas
+    };
+    let parts: Vec<_> = (0..mesh.points.len().div_ceil(SUM_CHUNK)).into_par_iter().map(of_chunk).collect();
+    let mut areas: BTreeMap<(usize, usize), f64> = BTreeMap::new();
+    for (pair, area) in parts.into_iter().flatten() {
+        *areas.entry(pair).or_default() += area;
+    }
+    areas.into_iter().collect()
 }

@@ -56,6 +56,7 @@ pub mod subdivision_criteria;
 pub mod subvoxel_surface;
 pub mod surface_crossings;
 pub mod surface_deformation;
+pub mod surface_stars;
 #[cfg(test)]
 mod test_images;
 #[cfg(test)]

@@ -4,7 +4,8 @@
 //! Tets whose shortest edge is less than `SHORT` times their longest are listed, the shortest edges first. Each such edge is
 //! contracted to either of its ends, when the changed tets score as high as the wanted score or as the tets before, whichever
 //! is less, and the surfaces allow it ([`contract_edge`]). Where they do not, its ends move apart: an inner one towards the
-//! middle of its ball, one on a surface along that, as far as the same scores allow. `PASSES` sweeps.
+//! middle of its ball, one on a surface along that, as far as the same scores allow. `PASSES` sweeps, after the first only over
+//! tets near those that changed.
 //!
 //! Angles alone do not see such edges: a needle has good ones. A solver does: the shortest edge sets the step in time of an
 //! explicit one and the condition number of an implicit one [Shewchuk2002].
@@ -29,23 +30,35 @@ const PASSES: usize = 3;
 /// Contracts short edges; returns how many.
 pub fn contract_short_edges(mesh: &mut ImprovementMesh, wanted: f64) -> usize {
     let mut contracted = 0;
-    for _ in 0..PASSES {
-        for (_, [a, b]) in short_edges(mesh) {
+    let mut edges = short_edges(mesh, (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096));
+    for pass in 1..=PASSES {
+        // What changed nowhere near would fail again.
+        let mut touched: Vec<u32> = Vec::new();
+        for (_, [a, b]) in edges {
             if mesh.shell(a, b).is_empty() {
                 continue;
             }
+            let places = [a, b].map(|v| mesh.points[v as usize]);
             if contract(mesh, a, b, wanted) {
                 contracted += 1;
+                touched.extend([a, b]);
             } else {
                 move_apart(mesh, a, b, wanted);
+                touched
+                    .extend([a, b].iter().zip(places).filter(|(v, p)| mesh.points[**v as usize] != *p).map(|(v, _)| v));
             }
         }
+        if pass == PASSES || touched.is_empty() {
+            break;
+        }
+        let near: Vec<u32> = touched.iter().flat_map(|v| mesh.ball(*v)).flat_map(|t| mesh.tets[*t as usize]).collect();
+        edges = short_edges(mesh, mesh.tets_of(near).into_par_iter());
     }
     contracted
 }
 
-/// Square of the length and ends of the short edges, the shortest first.
-fn short_edges(mesh: &ImprovementMesh) -> Vec<(f64, [u32; 2])> {
+/// Square of the length and ends of the short edges of some tets, the shortest first.
+fn short_edges(mesh: &ImprovementMesh, tets: impl ParallelIterator<Item = u32>) -> Vec<(f64, [u32; 2])> {
     let short_edge = |t: u32| {
         let tet = mesh.tets[t as usize];
         let corners = mesh.corners(t);
@@ -56,8 +69,7 @@ fn short_edges(mesh: &ImprovementMesh) -> Vec<(f64, [u32; 2])> {
         let [a, b] = [tet[a], tet[b]];
         (length < SHORT * SHORT * longest).then(|| (length, [a.min(b), a.max(b)]))
     };
-    let tets = (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096);
-    let mesh_tets = tets.filter(|t| mesh.is_live(*t) && mesh.part(*t) == Part::Mesh);
+    let mesh_tets = tets.filter(|t| mesh.part(*t) == Part::Mesh && mesh.is_live(*t));
     let mut edges: Vec<(f64, [u32; 2])> = mesh_tets.filter_map(short_edge).collect();
     edges.sort_unstable_by(|l, r| l.0.total_cmp(&r.0).then(l.1.cmp(&r.1)));
     edges.dedup_by_key(|(_, ends)| *ends);

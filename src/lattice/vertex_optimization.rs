@@ -16,7 +16,7 @@
 use glam::DVec3;
 
 use crate::lattice::element_score::{Ball, Threshold};
-use crate::lattice::improvement_mesh::ImprovementMesh;
+use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace};
 use crate::lattice::subvoxel_surface::Side;
 
 /// Directions of the search: axes and diagonals of a cube.
@@ -53,10 +53,9 @@ pub fn plan_relaxation(mesh: &ImprovementMesh, v: u32, bound: &Threshold, ball: 
     if mesh.fixed[v as usize] {
         return None;
     }
-    mesh.gather(v, ball);
     let place = mesh.points[v as usize];
-    let reach = ball.edge_length(place);
-    let toward = mean_on_surface(mesh, v).map_or(DVec3::ZERO, |mean| along_surface(mesh, v, mean - place));
+    let (mean, reach) = around_on_surface(mesh, v);
+    let toward = mean.map_or(DVec3::ZERO, |mean| along_surface(mesh, v, mean - place));
     let wanted = place + toward * RELAXATION;
     let goal = mesh.surface.project(wanted, mesh.sides(v), reach)?;
     // A border plane is met exactly, however near the vertex is.
@@ -64,6 +63,7 @@ pub fn plan_relaxation(mesh: &ImprovementMesh, v: u32, bound: &Threshold, ball: 
     if goal.distance_squared(place) < 1e-6 * reach * reach && !is_off_plane {
         return None;
     }
+    mesh.gather(v, ball);
     // Most moves stay above the bound: only where one does not, the present score is asked for.
     if ball.score_above(goal, bound).is_some() {
         return Some(goal);
@@ -89,13 +89,17 @@ fn steps(place: DVec3, goal: DVec3, fractions: &[f64]) -> impl Iterator<Item = D
     fractions.iter().map(move |fraction| place + (goal - place) * *fraction)
 }
 
-/// Mean of the neighbours on the surface that separate at least the same sides; `None` below two.
-fn mean_on_surface(mesh: &ImprovementMesh, v: u32) -> Option<DVec3> {
-    let mut near: Vec<u32> = mesh.surface_faces(v).iter().flat_map(|f| f.others).collect();
+/// Mean of the neighbours on the surface that separate at least the same sides, `None` below two; and the mean distance of all
+/// neighbours on the surface.
+fn around_on_surface(mesh: &ImprovementMesh, v: u32) -> (Option<DVec3>, f64) {
+    let of_others = |star: &[SurfaceFace]| star.iter().flat_map(|f| f.others).collect::<Vec<u32>>();
+    let mut near = mesh.stars().of(v).map_or_else(|| of_others(&mesh.surface_faces(v)), of_others);
     near.sort_unstable();
     near.dedup();
+    let at = |w: &u32| mesh.points[*w as usize];
+    let reach = near.iter().map(|w| at(w).distance(mesh.points[v as usize])).sum::<f64>() / near.len().max(1) as f64;
     near.retain(|w| mesh.sides_within(v, *w));
-    (near.len() >= 2).then(|| near.iter().map(|w| mesh.points[*w as usize]).sum::<DVec3>() / near.len() as f64)
+    ((near.len() >= 2).then(|| near.iter().map(at).sum::<DVec3>() / near.len() as f64), reach)
 }
 
 /// Moves an interior vertex towards the mean of its neighbours where that does not lower the lowest score.
