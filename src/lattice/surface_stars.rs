@@ -157,7 +157,7 @@ mod tests {
         let image = LabelImage::new(grid, vec![Label(1); 64], vec![0, 1, 2]).unwrap();
         let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
         let alone = [[u32::MAX; 4]; 4];
-        let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &alone, &surface);
+        let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &alone, &surface, &[]);
         let mut work = ImprovementMesh::new(&mut mesh, &sources, surface);
         work.refresh_stars();
         agrees(work.stars(), &work);
