@@ -253,7 +253,8 @@ impl Clipping {
             cube.apexes = cube.apexes.map(|v| number(v.0));
         }
         let count = mesh.points.len();
-        mesh.scaffold = Scaffold::around(&self.tets, &self.labels, &mut renumbered, count, |v| self.points[v as usize]);
+        mesh.scaffold =
+            Scaffold::around(&self.tets, &self.labels, &mut renumbered, count, |v| self.points[v as usize], None);
     }
 }
 

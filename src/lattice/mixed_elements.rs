@@ -212,9 +212,33 @@ pub fn compact(
     if with_scaffold {
         let place = |v: u32| lattice.frame.local(lattice.vertices.positions[v as usize]);
         let count = mesh.points.len();
-        mesh.scaffold = Scaffold::around(&elements.tets, &elements.labels, &mut renumbered, count, place);
+        let planes = planes_passed(lattice, &mesh.points);
+        let is_cut = |tet: &[u32; 4]| {
+            planes.iter().any(|(axis, sign, at)| {
+                let height = |v: &u32| sign * (place(*v)[*axis] - at);
+                tet.iter().any(|v| height(v) >= 0.0) && tet.iter().any(|v| height(v) < 0.0)
+            })
+        };
+        let is_cut: Option<&(dyn Fn(&[u32; 4]) -> bool + Sync)> = if planes.is_empty() { None } else { Some(&is_cut) };
+        mesh.scaffold = Scaffold::around(&elements.tets, &elements.labels, &mut renumbered, count, place, is_cut);
     }
     mesh
+}
+
+/// The planes of the image border that points lie beyond: axis, sign of the outward normal, position (mm).
+fn planes_passed(lattice: &RedGreenLattice, points: &[DVec3]) -> Vec<(usize, f64, f64)> {
+    let grid = lattice.field.image.grid();
+    let [low, high] = points
+        .par_iter()
+        .map(|p| [*p, *p])
+        .reduce(|| [DVec3::INFINITY, DVec3::NEG_INFINITY], |a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+    let of_axis = |axis: usize| {
+        let first = -0.5 * grid.spacing()[axis];
+        let last = (grid.size()[axis] as f64 - 0.5) * grid.spacing()[axis];
+        let passed = [(low[axis] < first, -1.0, first), (high[axis] > last, 1.0, last)];
+        passed.into_iter().filter(|(is_passed, ..)| *is_passed).map(move |(_, sign, at)| (axis, sign, at))
+    };
+    (0..3).flat_map(of_axis).collect()
 }
 
 /// The vertices of the labelled elements in the order of first use, and the place of each vertex in that order,

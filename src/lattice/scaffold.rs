@@ -41,19 +41,26 @@ impl Scaffold {
     }
 
     /// The background elements with a vertex of the mesh. `renumbered` holds the number in the mesh of each vertex,
-    /// `u32::MAX` where it has none, and `count` such numbers are in use.
+    /// `u32::MAX` where it has none, and `count` such numbers are in use. Elements for which `is_cut` holds are kept too,
+    /// with all around them: what a border plane cuts may become part of the mesh, and needs its own surroundings then.
     pub fn around(
         tets: &[[u32; 4]],
         labels: &[Label],
         renumbered: &mut [u32],
         count: usize,
         place: impl Fn(u32) -> DVec3,
+        is_cut: Option<&(dyn Fn(&[u32; 4]) -> bool + Sync)>,
     ) -> Self {
         let mut scaffold = Self::default();
         let is_of_mesh = |v: u32| (v as usize) < count;
-        let background = tets.iter().zip(labels).filter(|(_, label)| label.is_background());
-        for (tet, _) in background {
-            if !tet.iter().any(|v| is_of_mesh(renumbered[*v as usize])) {
+        let background = || tets.iter().zip(labels).filter(|(_, label)| label.is_background()).map(|(tet, _)| tet);
+        let mut is_beside_cut = vec![false; if is_cut.is_some() { renumbered.len() } else { 0 }];
+        for tet in background().filter(|tet| is_cut.is_some_and(|is_cut| is_cut(tet))) {
+            tet.iter().for_each(|v| is_beside_cut[*v as usize] = true);
+        }
+        let is_beside_cut = |v: u32| is_beside_cut.get(v as usize).is_some_and(|is| *is);
+        for tet in background() {
+            if !tet.iter().any(|v| is_of_mesh(renumbered[*v as usize]) || is_beside_cut(*v)) {
                 continue;
             }
             scaffold.tets.push(tet.map(|v| {
@@ -117,7 +124,8 @@ mod tests {
         let tets = [[0, 1, 2, 3], [1, 2, 3, 4], [0, 5, 6, 7], [4, 5, 6, 7]];
         let labels = [1, 0, 0, 0].map(Label);
         let mut renumbered = [0, 1, 2, 3, u32::MAX, u32::MAX, u32::MAX, u32::MAX];
-        let scaffold = Scaffold::around(&tets, &labels, &mut renumbered, 4, |v| DVec3::splat(f64::from(v)));
+        let place = |v: u32| DVec3::splat(f64::from(v));
+        let scaffold = Scaffold::around(&tets, &labels, &mut renumbered, 4, place, None);
         assert_eq!(scaffold.tets, [[1, 2, 3, 4].map(VertexId), [0, 5, 6, 7].map(VertexId)]);
         assert_eq!(scaffold.points, [4.0, 5.0, 6.0, 7.0].map(DVec3::splat));
         let of_mesh = [DVec3::X; 4];
@@ -125,5 +133,19 @@ mod tests {
             (scaffold.place(&of_mesh, VertexId(2)), scaffold.place(&of_mesh, VertexId(5))),
             (DVec3::X, DVec3::splat(5.0))
         );
+    }
+
+    #[test]
+    fn what_a_plane_cuts_is_kept_with_its_neighbours() {
+        // A row of background elements that leads away from a labelled one; the third one is cut.
+        let tets = [[0, 1, 2, 3], [3, 4, 5, 6], [6, 7, 8, 9], [9, 10, 11, 12], [12, 13, 14, 15], [15, 16, 17, 18]];
+        let labels = [1, 0, 0, 0, 0, 0].map(Label);
+        let kept = |is_cut: Option<&(dyn Fn(&[u32; 4]) -> bool + Sync)>| {
+            let mut renumbered: Vec<u32> = (0..19).map(|v| if v < 4 { v } else { u32::MAX }).collect();
+            let place = |v: u32| DVec3::splat(f64::from(v));
+            Scaffold::around(&tets, &labels, &mut renumbered, 4, place, is_cut).tets.len()
+        };
+        assert_eq!(kept(None), 1);
+        assert_eq!(kept(Some(&|tet| tet[0] == 9)), 4);
     }
 }
