@@ -206,16 +206,14 @@ impl Rounds<'_> {
 
     /// Relabels only elements that hold no voxel centre of their own label.
     fn relabel_within_fidelity(&mut self, lattice: &RedGreenLattice, elements: &mut Elements) -> Result<()> {
-        use crate::lattice::voxel_fidelity::for_each_foreign_voxel;
+        use crate::lattice::voxel_fidelity::for_each_voxel;
         use rayon::prelude::*;
-        // A label that no voxel has makes every voxel of the element foreign.
-        let nobody = Label(u16::MAX);
         let holds: Vec<bool> = elements
             .tets
             .par_iter()
             .map(|tet| {
                 let mut any = false;
-                for_each_foreign_voxel(lattice, tet, nobody, |_, _| any = true);
+                for_each_voxel(lattice, tet, |_, _| any = true);
                 any
             })
             .collect();

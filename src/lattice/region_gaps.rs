@@ -27,7 +27,7 @@ use crate::index::Label;
 use crate::lattice::face_adjacency::OUTSIDE;
 use crate::lattice::interface_carving::Regions;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
-use crate::lattice::voxel_fidelity::for_each_foreign_voxel;
+use crate::lattice::voxel_fidelity::for_each_voxel;
 
 /// No region.
 const NONE: u32 = u32::MAX;
@@ -56,7 +56,7 @@ pub fn elements_at_gaps(
     let gaps = gap_voxels(lattice, &mut of_voxel, is_broken);
     let touches_gap = |e: &usize| {
         let mut any = false;
-        for_each_voxel(lattice, elements, *e, |voxel, _| any |= gaps.contains(&voxel));
+        for_each_voxel(lattice, &elements.tets[*e], |at, _| any |= gaps.contains(&offset_of(lattice, at)));
         let region = regions.of_element[*e];
         any || (region != NONE && is_broken(elements.labels[*e]) && !has_voxel[region as usize])
     };
@@ -65,13 +65,9 @@ pub fn elements_at_gaps(
     around.collect::<BTreeSet<u32>>().into_iter().collect()
 }
 
-/// Calls `visit(offset, label)` for every voxel whose centre lies in the element.
-fn for_each_voxel(lattice: &RedGreenLattice, elements: &Elements, e: usize, mut visit: impl FnMut(usize, Label)) {
-    // A label that no voxel has makes every voxel of the element foreign.
-    let nobody = Label(u16::MAX);
-    for_each_foreign_voxel(lattice, &elements.tets[e], nobody, |at, label| {
-        visit(lattice.field.image.grid().offset(at.x as usize, at.y as usize, at.z as usize), label);
-    });
+/// Offset of a voxel in the image.
+fn offset_of(lattice: &RedGreenLattice, at: IVec3) -> usize {
+    lattice.field.image.grid().offset(at.x as usize, at.y as usize, at.z as usize)
 }
 
 /// Voxels of broken labels that lie in an element of their label, with its region.
@@ -80,9 +76,9 @@ fn own_voxels(lattice: &RedGreenLattice, elements: &Elements, regions: &Regions)
         let mut found = Vec::new();
         let label = elements.labels[e];
         if regions.surplus[label.index()] > 0 {
-            for_each_voxel(lattice, elements, e, |voxel, of_voxel| {
+            for_each_voxel(lattice, &elements.tets[e], |at, of_voxel| {
                 if of_voxel == label {
-                    found.push((voxel, regions.of_element[e]));
+                    found.push((offset_of(lattice, at), regions.of_element[e]));
                 }
             });
         }

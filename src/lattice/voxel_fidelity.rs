@@ -85,6 +85,12 @@ pub fn mismatches(
     Ok(chunks.concat())
 }
 
+/// Calls `visit` for every voxel whose centre lies in the tet.
+pub fn for_each_voxel(lattice: &RedGreenLattice, tet: &[u32; 4], visit: impl FnMut(IVec3, Label)) {
+    // A label that no voxel has makes every voxel of the element foreign.
+    for_each_foreign_voxel(lattice, tet, Label(u16::MAX), visit);
+}
+
 /// Calls `visit` for every voxel whose centre lies in the tet and whose label is not `label`.
 pub fn for_each_foreign_voxel(
     lattice: &RedGreenLattice,
