@@ -21,7 +21,6 @@ use crate::error::{Error, Finding, FindingCode, Result, Severity};
 use crate::image::connected_components::{Components, Connectivity, Members};
 use crate::image::distance_transform::distance_to_other_labels;
 use crate::image::label_image::LabelImage;
-use crate::index::Label;
 use crate::lattice::bcc_lattice::{Field, LatticeFrame};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
