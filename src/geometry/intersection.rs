@@ -45,6 +45,10 @@ pub fn is_collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
 
 /// Whether the closed segment p q meets the closed triangle a b c, which has an area.
 pub fn segment_meets_triangle(p: DVec3, q: DVec3, [a, b, c]: [DVec3; 3]) -> bool {
+    // Boxes apart: cheaper than a test of orientation, and far cheaper than one of points in a plane.
+    if p.max(q).cmplt(a.min(b).min(c)).any() || p.min(q).cmpgt(a.max(b).max(c)).any() {
+        return false;
+    }
     let side_p = orient3d(a, b, c, p);
     let side_q = orient3d(a, b, c, q);
     if (side_p > 0.0 && side_q > 0.0) || (side_p < 0.0 && side_q < 0.0) {

@@ -22,6 +22,7 @@
 use glam::DVec3;
 use rustc_hash::{FxHashMap, FxHashSet};
 
+use super::steiner_points::CavityMarks;
 use crate::error::Result;
 use crate::geometry::predicates::orient3d;
 use crate::index::{Label, TetFace, TetId, VertexId};
@@ -63,9 +64,16 @@ pub struct ConstrainedMesh {
     pub cavities: [usize; 2],
     /// Whether reconnections keep subfaces; while edges are recovered only segments are kept.
     pub keeps_faces: bool,
+    /// The tets that the last change made, in the order of its rows.
+    pub created: Vec<TetId>,
     /// What undoes the changes of the trial under way.
     trial: Option<Vec<Undo>>,
     ball: Vec<TetId>,
+    /// Scratch of insertions.
+    pub marks: CavityMarks,
+    /// Faces of a change: the key in the upper 96 bits, the place in `sides` in the lower 32.
+    faces: Vec<u128>,
+    sides: Vec<TetFace>,
 }
 
 /// The rows of the tets that a change replaced, and the tets that it made.
@@ -234,83 +242,93 @@ impl ConstrainedMesh {
     /// The faces around a set of tets as seen from inside, and the constraints inside: subfaces between two of them, and
     /// segments that no face of the boundary has.
     pub fn shape_of(&self, tets: &[TetId]) -> CavityShape {
-        let inside: FxHashSet<TetId> = tets.iter().copied().collect();
+        let inside = TetSet::new(tets);
         let mut shape = CavityShape::default();
-        let mut border: FxHashSet<EdgeKey> = FxHashSet::default();
-        let mut edges: FxHashSet<EdgeKey> = FxHashSet::default();
         for &tet in tets {
             let v = self.complex.vertices(tet);
             for face in 0..4 {
                 let side = TetFace::new(tet, face);
                 let [a, b, c] = TET_FACES[face].map(|i| v[i]);
                 let other = self.complex.neighbor(side);
-                if other != TetFace::NONE && inside.contains(&other.tet()) {
+                if other != TetFace::NONE && inside.contains(other.tet()) {
                     if side.0 < other.0 && self.is_subface(side) {
                         shape.sheets.push([a, b, c]);
                     }
                     continue;
                 }
                 shape.front.push([a, c, b]);
-                border.extend([edge_key(a, b), edge_key(b, c), edge_key(c, a)]);
             }
-            for [i, j] in TET_EDGES {
-                let key = edge_key(v[i], v[j]);
-                if self.wings.contains_key(&key) {
-                    edges.insert(key);
-                }
-            }
+            let keys = TET_EDGES.map(|[i, j]| edge_key(v[i], v[j]));
+            shape.segments.extend(keys.into_iter().filter(|key| self.wings.contains_key(key)));
         }
-        shape.segments = edges.into_iter().filter(|e| !border.contains(e)).collect();
         shape.segments.sort_unstable();
+        shape.segments.dedup();
+        let front = &shape.front;
+        shape.segments.retain(|[u, v]| !front.iter().any(|face| face.contains(u) && face.contains(v)));
         shape
     }
 
-    /// Replaces `old` tets by `new` ones; nothing happens and `None` is returned where the boundaries differ or a new
-    /// tet is not positive.
+    /// Replaces `old` tets by `new` ones; nothing happens and false is returned where the boundaries differ or a new tet
+    /// is not positive.
     ///
     /// # Errors
     /// As [`TetStore::create_tet`].
-    pub fn replace(&mut self, old: &[TetId], new: &[[VertexId; 4]]) -> Result<Option<Vec<TetId>>> {
+    pub fn replace(&mut self, old: &[TetId], new: &[[VertexId; 4]]) -> Result<bool> {
         if new.iter().any(|&tet| self.orient(tet) <= 0.0) {
-            return Ok(None);
+            return Ok(false);
         }
-        let mut inside: Vec<TetId> = old.to_vec();
-        inside.sort_unstable();
+        let (mut faces, mut sides) = (std::mem::take(&mut self.faces), std::mem::take(&mut self.sides));
+        let replaced = self.replace_with(old, new, &mut faces, &mut sides);
+        (self.faces, self.sides) = (faces, sides);
+        replaced
+    }
+
+    fn replace_with(
+        &mut self,
+        old: &[TetId],
+        new: &[[VertexId; 4]],
+        faces: &mut Vec<u128>,
+        sides: &mut Vec<TetFace>,
+    ) -> Result<bool> {
         // Every face twice: from a new tet and from its neighbour, new or outside.
-        let mut faces: Vec<(FaceKey, u32, u32)> = Vec::with_capacity(new.len() * 4 + old.len() * 4);
+        faces.clear();
+        sides.clear();
+        let inside = TetSet::new(old);
         for &tet in old {
             for face in 0..4 {
                 let side = TetFace::new(tet, face);
                 let other = self.complex.neighbor(side);
-                if other == TetFace::NONE || inside.binary_search(&other.tet()).is_err() {
-                    faces.push((face_key(self.complex.face_vertices(side)), u32::MAX, other.0));
+                if other == TetFace::NONE || !inside.contains(other.tet()) {
+                    faces.push(packed(self.complex.face_vertices(side), sides.len()));
+                    sides.push(other);
                 }
             }
         }
+        let border = sides.len();
         for (i, tet) in new.iter().enumerate() {
             for (face, corners) in TET_FACES.iter().enumerate() {
-                faces.push((face_key(corners.map(|c| tet[c])), i as u32, face as u32));
+                faces.push(packed(corners.map(|c| tet[c]), border + 4 * i + face));
             }
         }
         faces.sort_unstable();
-        let paired = faces.len().is_multiple_of(2) && faces.chunks_exact(2).all(|pair| pair[0].0 == pair[1].0);
-        if !paired || faces.windows(3).any(|three| three[0].0 == three[2].0) {
-            return Ok(None);
+        let paired = faces.len().is_multiple_of(2) && faces.chunks_exact(2).all(|pair| pair[0] >> 32 == pair[1] >> 32);
+        if !paired || faces.windows(3).any(|three| three[0] >> 32 == three[2] >> 32) {
+            return Ok(false);
         }
-        let rows = self.trial.as_ref().map(|_| old.iter().map(|&tet| self.complex.vertices(tet)).collect());
+        if let Some(trial) = &mut self.trial {
+            trial.push((old.iter().map(|&tet| self.complex.vertices(tet)).collect(), Vec::new()));
+        }
         for &tet in old {
             self.complex.delete_tet(tet);
         }
-        let mut ids = Vec::with_capacity(new.len());
-        for &tet in new {
-            ids.push(self.complex.create_tet(tet, Label::BACKGROUND)?);
+        self.created.clear();
+        for &row in new {
+            let tet = self.complex.create_tet(row, Label::BACKGROUND)?;
+            self.created.push(tet);
+            sides.extend((0..4).map(|face| TetFace::new(tet, face)));
         }
-        let side_of = |entry: &(FaceKey, u32, u32)| match entry.1 {
-            u32::MAX => TetFace(entry.2),
-            i => TetFace::new(ids[i as usize], entry.2 as usize),
-        };
         for pair in faces.chunks_exact(2) {
-            let (one, two) = (side_of(&pair[0]), side_of(&pair[1]));
+            let [one, two] = [sides[pair[0] as u32 as usize], sides[pair[1] as u32 as usize]];
             match (one == TetFace::NONE, two == TetFace::NONE) {
                 (false, false) => self.complex.glue(one, two),
                 (true, false) => self.complex.unglue(two),
@@ -319,10 +337,10 @@ impl ConstrainedMesh {
             }
         }
         self.reconnections += 1;
-        if let (Some(trial), Some(rows)) = (&mut self.trial, rows) {
-            trial.push((rows, ids.clone()));
+        if let Some(change) = self.trial.as_mut().and_then(|trial| trial.last_mut()) {
+            change.1.clone_from(&self.created);
         }
-        Ok(Some(ids))
+        Ok(true)
     }
 
     /// Begins a trial: [`Self::end_trial`] keeps or undoes what is changed until then.
@@ -344,9 +362,39 @@ impl ConstrainedMesh {
             rows.reverse();
             ids.reverse();
             let undone = self.replace(&ids, &rows)?;
-            debug_assert!(undone.is_some(), "the tets of a change have the border of what they replaced");
+            debug_assert!(undone, "the tets of a change have the border of what they replaced");
         }
         Ok(())
+    }
+}
+
+/// A face by its vertices, ascending, and a place in a list.
+#[inline]
+fn packed(face: [VertexId; 3], place: usize) -> u128 {
+    let [a, b, c] = face_key(face).map(|v| u128::from(v.0));
+    a << 96 | b << 64 | c << 32 | place as u128
+}
+
+/// Most tets that are searched one by one: that is faster than hashing.
+const FEW_TETS: usize = 24;
+
+/// A set of tets.
+enum TetSet<'a> {
+    Few(&'a [TetId]),
+    Many(FxHashSet<TetId>),
+}
+
+impl<'a> TetSet<'a> {
+    fn new(tets: &'a [TetId]) -> Self {
+        if tets.len() <= FEW_TETS { Self::Few(tets) } else { Self::Many(tets.iter().copied().collect()) }
+    }
+
+    #[inline]
+    fn contains(&self, tet: TetId) -> bool {
+        match self {
+            Self::Few(tets) => tets.contains(&tet),
+            Self::Many(tets) => tets.contains(&tet),
+        }
     }
 }
 

@@ -79,6 +79,9 @@ pub fn tets_along(mesh: &ConstrainedMesh, a: VertexId, b: VertexId) -> Option<Ve
     Some(found)
 }
 
+/// Steps of a walk around a vertex before its whole ball is looked at.
+const MOST_WALK: usize = 200;
+
 /// One thing that the open segment between two vertices passes through.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Crossing {
@@ -112,6 +115,12 @@ impl Path {
 /// What the open segment a b passes through first after a; the way is at most one crossing long, and `None` where the
 /// walk loses its way.
 pub fn first_crossing(mesh: &ConstrainedMesh, [a, b]: [VertexId; 2]) -> Option<Path> {
+    if let Some(tet) = tet_toward(mesh, [a, b]) {
+        return match mesh.complex.local_vertex(tet, b) {
+            Some(_) => Some(Path::Present),
+            None => exit_of(mesh, tet, [a, b], &[a]).map(|crossing| Path::Through(vec![crossing])),
+        };
+    }
     let ball = mesh.ball(a);
     if ball.iter().any(|&tet| mesh.complex.local_vertex(tet, b).is_some()) {
         return Some(Path::Present);
@@ -119,10 +128,38 @@ pub fn first_crossing(mesh: &ConstrainedMesh, [a, b]: [VertexId; 2]) -> Option<P
     ball.iter().find_map(|&tet| exit_of(mesh, tet, [a, b], &[a])).map(|crossing| Path::Through(vec![crossing]))
 }
 
+/// The tet at a that the segment a b enters or lies on, by a walk from tet to tet around a: balls may be large. `None`
+/// where the walk meets the hull or does not end.
+fn tet_toward(mesh: &ConstrainedMesh, [a, b]: [VertexId; 2]) -> Option<TetId> {
+    let mut tet = mesh.complex.tet_of(a).some()?;
+    let mut came_from = TetFace::NONE;
+    for step in 0..MOST_WALK {
+        let v = mesh.complex.vertices(tet);
+        if v.iter().any(|v| v.is_ghost()) {
+            return None;
+        }
+        if v.contains(&b) {
+            return Some(tet);
+        }
+        // Faces in turns: a fixed order can walk in a circle.
+        let exit = (0..4).map(|i| TetFace::new(tet, (i + step) % 4)).find(|&side| {
+            let [x, y, z] = TET_FACES[side.face()].map(|i| v[i]);
+            side != came_from && v[side.face()] != a && mesh.orient([x, y, z, b]) > 0.0
+        });
+        let Some(side) = exit else { return Some(tet) };
+        came_from = mesh.complex.neighbor(side);
+        if came_from == TetFace::NONE {
+            return None;
+        }
+        tet = came_from.tet();
+    }
+    None
+}
+
 /// Follows the open segment a b from feature to feature; `None` where the walk loses its way.
 pub fn trace(mesh: &ConstrainedMesh, a: VertexId, b: VertexId) -> Option<Path> {
     let mut found = Vec::new();
-    let mut candidates = mesh.ball(a);
+    let mut candidates = tet_toward(mesh, [a, b]).map_or_else(|| mesh.ball(a), |tet| vec![tet]);
     let mut entry: Vec<VertexId> = vec![a];
     if candidates.iter().any(|&tet| mesh.complex.local_vertex(tet, b).is_some()) {
         return Some(Path::Present);

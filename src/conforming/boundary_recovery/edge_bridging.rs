@@ -175,7 +175,7 @@ fn take_off(
                 }
             }
         }
-        if mesh.replace(&ball, &tets)?.is_some() {
+        if mesh.replace(&ball, &tets)? {
             mesh.complex.set_tet_of(steiner, TetId::NONE);
             volume.extend(added);
             return Ok(true);

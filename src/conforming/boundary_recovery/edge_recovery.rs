@@ -122,7 +122,7 @@ pub fn fill_with_edge(
         sheets.push([a, b, p]);
         mesh.cavities[0] += 1;
         let Some(new) = fill_cavity(&shape.front, &sheets, |v| mesh.at(v), steps, budget) else { continue };
-        if contains_edges(&new, &shape.segments) && mesh.replace(tets, &new)?.is_some() {
+        if contains_edges(&new, &shape.segments) && mesh.replace(tets, &new)? {
             mesh.cavities[1] += 1;
             return Ok(true);
         }

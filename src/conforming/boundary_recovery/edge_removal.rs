@@ -21,7 +21,7 @@ use crate::geometry::intersection::segment_meets_triangle;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_FACES;
 use crate::mesh::tet_store::TetStore;
-use crate::mesh::topology::{ShellKind, ShellTet, collect_shell, find_edge};
+use crate::mesh::topology::{ShellTet, find_edge};
 
 /// Tets to be replaced, and what replaces them.
 #[derive(Debug, Clone, Default)]
@@ -45,43 +45,97 @@ pub fn shape(mesh: &ConstrainedMesh, tet: [VertexId; 4]) -> f64 {
     (volume / (mean * mean.sqrt())).max(f64::MIN_POSITIVE)
 }
 
-/// The ring of an edge and its tets; `None` where the edge does not exist, lies on the hull or has more than `limit`.
-pub fn ring_of(mesh: &ConstrainedMesh, u: VertexId, v: VertexId, limit: usize) -> Option<(Vec<TetId>, Vec<VertexId>)> {
-    let start = find_edge(&mesh.complex, u, v, &mut Vec::new())?;
-    ring_from(mesh, start, limit)
+/// Most vertices of a ring, whatever the options say.
+pub const MOST_RING: usize = 64;
+
+/// The tets around an edge and the ring of their apexes: tet i lies between the vertices i and i + 1. Rings are looked at
+/// by the hundred thousand, so that nothing of them is allocated.
+#[derive(Debug, Clone, Copy)]
+pub struct Ring {
+    count: usize,
+    tets: [TetId; MOST_RING],
+    vertices: [VertexId; MOST_RING],
 }
 
-fn ring_from(mesh: &ConstrainedMesh, start: ShellTet, limit: usize) -> Option<(Vec<TetId>, Vec<VertexId>)> {
-    let mut shell = Vec::new();
-    if collect_shell(&mesh.complex, start, limit, &mut shell) != ShellKind::Closed {
-        return None;
+impl Ring {
+    /// The tets, turning around the edge.
+    #[inline]
+    pub fn tets(&self) -> &[TetId] {
+        &self.tets[..self.count]
     }
-    let ring: Vec<VertexId> = shell.iter().map(|s| mesh.complex.vertices(s.tet)[s.c]).collect();
-    if ring.iter().any(|v| v.is_ghost()) {
-        return None;
+
+    /// The vertices of the ring.
+    #[inline]
+    pub fn vertices(&self) -> &[VertexId] {
+        &self.vertices[..self.count]
     }
-    Some((shell.iter().map(|s| s.tet).collect(), ring))
 }
 
-/// The best removal of the edge u v, or `None` where it is a constraint or cannot be removed alone.
-pub fn plan_removal(mesh: &ConstrainedMesh, u: VertexId, v: VertexId, limit: usize) -> Option<Plan> {
-    if mesh.is_segment(u, v) {
-        return None;
-    }
-    let (old, ring) = ring_of(mesh, u, v, limit)?;
-    let ears = ears_of(mesh, [u, v], &ring);
-    plan_ring([u, v], mesh, &old, (&ring, &ears), (None, None))
+/// The ring of an edge, looked for in the tets `hints` first; `None` where the edge does not exist, lies on the hull or
+/// has more than `limit` tets.
+pub fn ring_of(mesh: &ConstrainedMesh, edge: [VertexId; 2], hint: TetId, limit: usize) -> Option<Ring> {
+    ring_from(mesh, shell_start(mesh, edge, &[hint])?, limit)
 }
 
-/// For each vertex p of the ring of u v, with its neighbours o and q, whether the tets o p q v and o q p u are positive.
-fn ears_of(mesh: &ConstrainedMesh, [u, v]: [VertexId; 2], ring: &[VertexId]) -> Vec<[bool; 2]> {
-    let n = ring.len();
-    let ear = |i: usize| {
-        let (o, p, q) = (ring[(i + n - 1) % n], ring[i], ring[(i + 1) % n]);
-        [mesh.orient([o, p, q, v]) > 0.0, mesh.orient([o, q, p, u]) > 0.0]
-    };
-    (0..n).map(ear).collect()
+fn ring_from(mesh: &ConstrainedMesh, start: ShellTet, limit: usize) -> Option<Ring> {
+    let mut ring = Ring { count: 0, tets: [TetId::NONE; MOST_RING], vertices: [VertexId::GHOST; MOST_RING] };
+    let mut current = start;
+    loop {
+        let apex = mesh.complex.vertices(current.tet)[current.c];
+        if ring.count == limit.min(MOST_RING) || apex.is_ghost() {
+            return None;
+        }
+        ring.tets[ring.count] = current.tet;
+        ring.vertices[ring.count] = apex;
+        ring.count += 1;
+        match current.next(&mesh.complex) {
+            Some(next) if next.tet == start.tet => return Some(ring),
+            next => current = next?,
+        }
+    }
 }
+
+/// The best removal of the edge u v, or `None` where it is a constraint or cannot be removed alone. `hint` as in
+/// [`remove_edge`].
+pub fn plan_removal(mesh: &ConstrainedMesh, edge: [VertexId; 2], hint: TetId, limit: usize) -> Option<Plan> {
+    if mesh.is_segment(edge[0], edge[1]) {
+        return None;
+    }
+    let ring = ring_of(mesh, edge, hint, limit)?;
+    plan_ring(mesh, edge, (&ring, Ears::of(mesh, edge, &ring)), (None, None))
+}
+
+/// For each vertex p of the ring of u v, with its neighbours o and q, a bit whether the tet o p q v is positive, and one
+/// whether o q p u is.
+#[derive(Debug, Clone, Copy)]
+struct Ears {
+    upper: u64,
+    lower: u64,
+}
+
+impl Ears {
+    fn of(mesh: &ConstrainedMesh, [u, v]: [VertexId; 2], ring: &Ring) -> Self {
+        let ring = ring.vertices();
+        let n = ring.len();
+        let (mut upper, mut lower) = (0, 0);
+        let mut o = ring[n - 1];
+        for i in 0..n {
+            let (p, q) = (ring[i], ring[if i + 1 == n { 0 } else { i + 1 }]);
+            upper |= u64::from(mesh.orient([o, p, q, v]) > 0.0) << i;
+            lower |= u64::from(mesh.orient([o, q, p, u]) > 0.0) << i;
+            o = p;
+        }
+        Self { upper, lower }
+    }
+
+    /// The vertices whose two tets are positive.
+    fn both(self) -> u64 {
+        self.upper & self.lower
+    }
+}
+
+/// Rings up to this size are planned in a table on the stack.
+const SMALL_RING: usize = 8;
 
 /// Where a span of the ring is cut, and the worst shape that leaves.
 #[derive(Clone, Copy)]
@@ -99,41 +153,47 @@ fn meets_aim(mesh: &ConstrainedMesh, aim: Option<[VertexId; 2]>, face: [VertexId
 }
 
 /// The triangulation of the ring with the best worst tet, all positive, without a new face that the segment `aim` meets;
-/// with the triangle at the vertex `ear` and its two neighbours. `ears` is that of [`ears_of`].
+/// with the triangle at the vertex `ear` and its two neighbours.
 fn plan_ring(
-    [u, v]: [VertexId; 2],
     mesh: &ConstrainedMesh,
-    old: &[TetId],
-    (ring, ears): (&[VertexId], &[[bool; 2]]),
+    [u, v]: [VertexId; 2],
+    (around, ears): (&Ring, Ears),
     (aim, ear): (Option<[VertexId; 2]>, Option<VertexId>),
 ) -> Option<Plan> {
-    let n = ring.len();
+    let mut ring = around.vertices;
+    let n = around.count;
     // Every triangulation of a polygon has two ears, and a triangle three.
-    let (valid, wanted) = (ears.iter().filter(|ear| **ear == [true; 2]).count(), if n == 3 { 3 } else { 2 });
-    let ear_at = ear.map(|ear| ring.iter().position(|&p| p == ear));
-    if n < 3 || valid < wanted || ear_at.is_some_and(|at| at.is_none_or(|at| ears[at] != [true; 2])) {
+    let wanted = if n == 3 { 3 } else { 2 };
+    if n < 3 || ears.both().count_ones() < wanted {
         return None;
+    }
+    if let Some(ear) = ear {
+        let at = ring[..n].iter().position(|&p| p == ear)?;
+        if ears.both() >> at & 1 == 0 {
+            return None;
+        }
+        ring[..n].rotate_left(at);
     }
     let met = |face: [VertexId; 3]| meets_aim(mesh, aim, face);
     let from = usize::from(ear.is_some());
-    let rotated: Vec<VertexId>;
-    let ring = match ear_at.flatten() {
-        Some(at) => {
-            rotated = ring[at..].iter().chain(&ring[..at]).copied().collect();
-            &rotated
-        }
-        None => ring,
-    };
     let none = Cut { shape: 0.0, middle: usize::MAX };
     // best[i * n + k]: the best triangulation of p_i ... p_k.
-    let mut best = vec![Cut { shape: f64::INFINITY, middle: 0 }; n * n];
+    let (mut small, mut large) = ([none; SMALL_RING * SMALL_RING], Vec::new());
+    let best: &mut [Cut] = if n <= SMALL_RING {
+        &mut small
+    } else {
+        large.resize(n * n, none);
+        &mut large
+    };
+    for i in from..n - 1 {
+        best[i * n + i + 1].shape = f64::INFINITY;
+    }
     for length in 2..n {
         for i in from..n - length {
             let k = i + length;
             let mut found = none;
             let inner = length < n - 1;
             if inner && (met([ring[i], ring[k], u]) || met([ring[i], ring[k], v])) {
-                best[i * n + k] = none;
                 continue;
             }
             for j in i + 1..k {
@@ -174,7 +234,7 @@ fn plan_ring(
         new.extend([[p, q, r, v], [p, r, q, u]]);
         stack.extend([(i, j), (j, k)]);
     }
-    Some(Plan { old: old.to_vec(), new })
+    Some(Plan { old: around.tets().to_vec(), new })
 }
 
 /// The 2-3 flip of a side, or `None` where the face is a constraint, the flip is not valid or a new face meets the aim.
@@ -189,40 +249,47 @@ pub fn plan_flip_23(mesh: &ConstrainedMesh, side: TetFace, aim: Option<[VertexId
     }
     let v = mesh.complex.vertices(side.tet());
     let [x, y, z] = TET_FACES[side.face()].map(|i| v[i]);
-    let new = vec![[p, q, x, y], [p, q, y, z], [p, q, z, x]];
+    let new = [[p, q, x, y], [p, q, y, z], [p, q, z, x]];
     if v.iter().any(|v| v.is_ghost()) || new.iter().any(|&tet| mesh.orient(tet) <= 0.0) {
         return None;
     }
     if [x, y, z].iter().any(|&w| meets_aim(mesh, aim, [p, q, w])) {
         return None;
     }
-    Some(Plan { old: vec![side.tet(), other.tet()], new })
+    Some(Plan { old: vec![side.tet(), other.tet()], new: new.to_vec() })
 }
 
-/// Changes that may be taken back: of each the rows of the old tets, and the new tets.
+/// Changes that may be taken back.
 #[derive(Debug, Default)]
-pub struct Journal(Vec<(Vec<[VertexId; 4]>, Vec<TetId>)>);
+pub struct Journal {
+    /// The rows of the old tets of all changes.
+    rows: Vec<[VertexId; 4]>,
+    /// The new tets of all changes.
+    ids: Vec<TetId>,
+    /// For each change where its rows and its ids start.
+    starts: Vec<[usize; 2]>,
+}
 
 impl Journal {
-    /// Commits a plan and notes it; false where it is not valid.
+    /// Commits a plan and notes it; false where it is not valid. The new tets are in `mesh.created`.
     ///
     /// # Errors
     /// As [`TetStore::create_tet`].
     pub fn commit(&mut self, mesh: &mut ConstrainedMesh, plan: &Plan) -> Result<bool> {
-        Ok(self.commit_ids(mesh, plan)?.is_some())
-    }
-
-    /// The same; the new tets in the order of the plan.
-    fn commit_ids(&mut self, mesh: &mut ConstrainedMesh, plan: &Plan) -> Result<Option<Vec<TetId>>> {
-        let old: Vec<[VertexId; 4]> = plan.old.iter().map(|&t| mesh.complex.vertices(t)).collect();
-        let Some(ids) = mesh.replace(&plan.old, &plan.new)? else { return Ok(None) };
-        self.0.push((old, ids.clone()));
-        Ok(Some(ids))
+        let start = [self.rows.len(), self.ids.len()];
+        self.rows.extend(plan.old.iter().map(|&t| mesh.complex.vertices(t)));
+        if !mesh.replace(&plan.old, &plan.new)? {
+            self.rows.truncate(start[0]);
+            return Ok(false);
+        }
+        self.ids.extend(&mesh.created);
+        self.starts.push(start);
+        Ok(true)
     }
 
     /// Changes noted so far.
     pub fn mark(&self) -> usize {
-        self.0.len()
+        self.starts.len()
     }
 
     /// Takes back all changes after the first `length`. Slots are given out last freed first: in reverse order the old
@@ -231,12 +298,14 @@ impl Journal {
     /// # Errors
     /// As [`TetStore::create_tet`].
     pub fn take_back(&mut self, mesh: &mut ConstrainedMesh, length: usize) -> Result<()> {
-        while self.0.len() > length
-            && let Some((mut rows, mut ids)) = self.0.pop()
+        while self.starts.len() > length
+            && let Some([row, id]) = self.starts.pop()
         {
-            rows.reverse();
-            ids.reverse();
-            mesh.replace(&ids, &rows)?;
+            self.rows[row..].reverse();
+            self.ids[id..].reverse();
+            mesh.replace(&self.ids[id..], &self.rows[row..])?;
+            self.rows.truncate(row);
+            self.ids.truncate(id);
         }
         Ok(())
     }
@@ -308,43 +377,40 @@ impl Removal<'_> {
         let mut is_first = true;
         // The outer ring gets shorter only where its tets at the spoke become one: the far end is an ear of this ring.
         let ear = self.open.last().and_then(|outer| outer.iter().copied().find(|v| !edge.contains(v)));
-        while let Some((old, ring)) = ring_from(mesh, start, self.reach.ring) {
-            let taken: Vec<bool> = old.iter().map(|&tet| self.is_taken(mesh, tet)).collect();
+        while let Some(ring) = ring_from(mesh, start, self.reach.ring) {
+            let taken = self.taken(mesh, ring.tets());
             // The shells of nested removals share no tets but the two at the spoke: that ends the recursion early,
             // where it would only turn in a circle.
-            if is_first && taken.iter().filter(|&&t| t).count() > 2 {
+            if is_first && taken.count_ones() > 2 {
                 return Ok(false);
             }
             is_first = false;
-            let ears = ears_of(mesh, edge, &ring);
-            if let Some(plan) = plan_ring(edge, mesh, &old, (&ring, &ears), (self.reach.aim, ear)) {
+            let ears = Ears::of(mesh, edge, &ring);
+            if let Some(plan) = plan_ring(mesh, edge, (&ring, ears), (self.reach.aim, ear)) {
                 if self.journal.commit(mesh, &plan)? {
                     return Ok(true);
                 }
                 break;
             }
             // A shorter ring needs an ear; without one only its spokes are left.
-            let shorter = match ears.contains(&[true; 2]) {
-                true => self.cut_ears(mesh, edge, &old, &ring, &taken)?,
-                false => None,
+            let shorter = match ears.both() {
+                0 => None,
+                _ => self.cut_ears(mesh, edge, &ring, taken)?,
             };
             if self.open.len() >= self.reach.depth {
                 break;
             }
-            let (old, ring, ears) = match shorter {
-                None => (old, ring, ears),
+            let (ring, ears) = match shorter {
+                None => (ring, ears),
                 Some(start) => match ring_from(mesh, start, self.reach.ring) {
-                    Some((old, ring)) => {
-                        let ears = ears_of(mesh, edge, &ring);
-                        (old, ring, ears)
-                    }
+                    Some(ring) => (ring, Ears::of(mesh, edge, &ring)),
                     None => break,
                 },
             };
-            if !self.remove_spoke(mesh, edge, &old, (&ring, &ears))? {
+            if !self.remove_spoke(mesh, edge, (&ring, ears))? {
                 break;
             }
-            match shell_start(mesh, edge, &old) {
+            match shell_start(mesh, edge, ring.tets()) {
                 Some(found) => start = found,
                 None => return Ok(true),
             }
@@ -357,10 +423,15 @@ impl Removal<'_> {
         Ok(false)
     }
 
-    /// Whether the tet has an edge whose removal is under way.
-    fn is_taken(&self, mesh: &ConstrainedMesh, tet: TetId) -> bool {
-        let row = mesh.complex.vertices(tet);
-        self.open.iter().any(|edge| edge.iter().all(|v| row.contains(v)))
+    /// For each of the tets a bit whether it has an edge whose removal is under way.
+    fn taken(&self, mesh: &ConstrainedMesh, tets: &[TetId]) -> u64 {
+        let mut taken = 0;
+        for (i, &tet) in tets.iter().enumerate() {
+            let [a, b, c, d] = mesh.complex.vertices(tet);
+            let has = |v: VertexId| (v == a) | (v == b) | (v == c) | (v == d);
+            taken |= u64::from(self.open.iter().any(|&[u, v]| has(u) && has(v))) << i;
+        }
+        taken
     }
 
     /// Shortens a ring by 2-3 flips, none of which touches a shell of the outer removals; a tet of the edge afterwards,
@@ -369,30 +440,33 @@ impl Removal<'_> {
         &mut self,
         mesh: &mut ConstrainedMesh,
         [u, v]: [VertexId; 2],
-        old: &[TetId],
-        ring: &[VertexId],
-        taken: &[bool],
+        ring: &Ring,
+        taken: u64,
     ) -> Result<Option<ShellTet>> {
-        // old[i] lies between ring[i] and ring[i + 1].
-        let mut ring: Vec<(VertexId, TetId, bool)> =
-            ring.iter().zip(old).zip(taken).map(|((&p, &tet), &taken)| (p, tet, taken)).collect();
+        // The tets lie between their vertex and the next.
+        let mut left = [(VertexId::GHOST, TetId::NONE, false); MOST_RING];
+        let mut n = ring.count;
+        for (i, place) in left[..n].iter_mut().enumerate() {
+            *place = (ring.vertices[i], ring.tets[i], taken >> i & 1 == 1);
+        }
         let mut changed = None;
         let mut unchanged = 0;
         let mut i = 0;
-        while ring.len() > 3 && unchanged < ring.len() {
-            let n = ring.len();
+        while n > 3 && unchanged < n {
             i %= n;
             let (before, after) = ((i + n - 1) % n, (i + 1) % n);
-            let (o, p, q) = (ring[before].0, ring[i].0, ring[after].0);
+            let (o, p, q) = (left[before].0, left[i].0, left[after].0);
             unchanged += 1;
-            let free = !ring[before].2 && !ring[i].2;
+            let free = !left[before].2 && !left[i].2;
             let new = [[o, p, q, v], [o, q, p, u], [o, q, u, v]];
             if free && new.iter().all(|&tet| mesh.orient(tet) > 0.0) && self.keeps_clear(mesh, [o, q], [p, u, v]) {
-                let plan = Plan { old: vec![ring[before].1, ring[i].1], new: new.to_vec() };
-                if let Some(ids) = self.journal.commit_ids(mesh, &plan)? {
-                    ring[before].1 = ids[2];
-                    ring.remove(i);
-                    changed = Some(ids[2]);
+                let plan = Plan { old: vec![left[before].1, left[i].1], new: new.to_vec() };
+                if self.journal.commit(mesh, &plan)? {
+                    let tet = mesh.created[2];
+                    left[before].1 = tet;
+                    left.copy_within(i + 1..n, i);
+                    n -= 1;
+                    changed = Some(tet);
                     unchanged = 0;
                     continue;
                 }
@@ -414,22 +488,22 @@ impl Removal<'_> {
         &mut self,
         mesh: &mut ConstrainedMesh,
         [u, v]: [VertexId; 2],
-        old: &[TetId],
-        (ring, ears): (&[VertexId], &[[bool; 2]]),
+        (ring, ears): (&Ring, Ears),
     ) -> Result<bool> {
-        let n = ring.len();
+        let n = ring.count;
         let turn = self.reach.turn;
         for i in (0..n).map(|i| (i + turn) % n) {
-            let [p, after] = [ring[i], ring[(i + 1) % n]];
+            let [p, after] = [ring.vertices[i], ring.vertices[(i + 1) % n]];
             // The ring could do without p but for an edge from p to an end that is in the way.
-            let end = match ears[i] {
-                [true, false] => u,
-                [false, true] => v,
+            let end = match (ears.upper >> i & 1, ears.lower >> i & 1) {
+                (1, 0) => u,
+                (0, 1) => v,
                 _ => continue,
             };
             // An attempt that failed may have changed what lies around the ring, but not the shell.
-            let row = mesh.complex.vertices(old[i]);
-            if !mesh.complex.is_live(old[i]) || ![u, v, p, after].iter().all(|w| row.contains(w)) {
+            let tet = ring.tets[i];
+            let row = mesh.complex.vertices(tet);
+            if !mesh.complex.is_live(tet) || ![u, v, p, after].iter().all(|w| row.contains(w)) {
                 continue;
             }
             if *self.tries == 0 {
@@ -439,10 +513,10 @@ impl Removal<'_> {
                 continue;
             }
             *self.tries -= 1;
-            let place = |w| mesh.complex.local_vertex(old[i], w);
+            let place = |w| mesh.complex.local_vertex(tet, w);
             let (Some(from), Some(to)) = (place(end), place(p)) else { continue };
             self.open.push([u, v]);
-            let removed = self.remove_at(mesh, ShellTet::new(old[i], from, to));
+            let removed = self.remove_at(mesh, ShellTet::new(tet, from, to));
             self.open.pop();
             if removed? {
                 return Ok(true);

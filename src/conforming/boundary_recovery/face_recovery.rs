@@ -130,7 +130,7 @@ fn fill_both_sides(
         mesh.cavities[1] += 1;
         new.extend(filled);
     }
-    Ok(contains_edges(&new, &shape.segments) && mesh.replace(tets, &new)?.is_some())
+    Ok(contains_edges(&new, &shape.segments) && mesh.replace(tets, &new)?)
 }
 
 fn fill_with_face(
@@ -145,7 +145,7 @@ fn fill_with_face(
     sheets.push(face);
     mesh.cavities[0] += 1;
     let Some(new) = fill_cavity(&shape.front, &sheets, |v| mesh.at(v), steps, budget) else { return Ok(false) };
-    if !contains_edges(&new, &shape.segments) || mesh.replace(tets, &new)?.is_none() {
+    if !contains_edges(&new, &shape.segments) || !mesh.replace(tets, &new)? {
         return Ok(false);
     }
     mesh.cavities[1] += 1;

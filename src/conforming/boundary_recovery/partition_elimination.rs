@@ -228,8 +228,9 @@ fn lift_edge(
     open: &mut Vec<EdgeKey>,
 ) -> Result<Option<VertexId>> {
     open.push(edge);
-    let Some((ring, _)) = ring_of(mesh, edge[0], edge[1], MOST_GROWN) else { return Ok(None) };
-    let front = mesh.shape_of(&ring).front;
+    let Some(ring) = ring_of(mesh, edge, TetId::NONE, MOST_GROWN) else { return Ok(None) };
+    let ring = ring.tets();
+    let front = mesh.shape_of(ring).front;
     let faces: Vec<[DVec3; 3]> = front.iter().map(|f| f.map(|v| mesh.at(v))).collect();
     let ends = edge.map(|v| mesh.at(v));
     let [start, _] = closest_points(ends, [near, near + direction]);
@@ -237,7 +238,7 @@ fn lift_edge(
     let place = kernel_point(&faces, start, direction).filter(|x| (*x - start).dot(direction) > least);
     let Some(place) = place else {
         let is_near = |x: DVec3| (x - start).dot(direction).abs() <= least;
-        for tet in ring {
+        for &tet in ring {
             let row = mesh.complex.vertices(tet);
             let others: Vec<VertexId> = row.into_iter().filter(|v| !edge.contains(v)).collect();
             let opposite = edge_key(others[0], others[1]);
@@ -258,7 +259,7 @@ fn lift_edge(
     let count = mesh.complex.points().len();
     let vertex = mesh.complex.push_point(place)?;
     let new: Vec<[VertexId; 4]> = front.iter().map(|&[a, b, c]| [a, b, c, vertex]).collect();
-    if mesh.replace(&ring, &new)?.is_none() {
+    if !mesh.replace(ring, &new)? {
         mesh.complex.truncate_points(count);
         return Ok(None);
     }
@@ -307,7 +308,7 @@ fn undo(mesh: &mut ConstrainedMesh, steiner: VertexId, split: &Split, volume: &m
         new.extend(front.iter().map(|&[a, b, c]| [a, b, c, vertex]));
     }
     let lost = lost_vertices(mesh, &old, &new);
-    if mesh.replace(&old, &new)?.is_none() {
+    if !mesh.replace(&old, &new)? {
         mesh.complex.truncate_points(count);
         return Ok(false);
     }

@@ -10,8 +10,6 @@
 //! [Bowyer1981], [Watson1981] for the cavity; [GeorgeBorouchaki2003] for points on constraints.
 
 use glam::DVec3;
-use rustc_hash::{FxHashMap, FxHashSet};
-
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey};
 use super::crossings::{Crossing, Path, tets_across, tets_along, trace};
 use crate::error::Result;
@@ -96,7 +94,7 @@ fn insert_at_crossing(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey) -> Result<Opt
         let front = mesh.shape_of(&cavity).front;
         let new: Vec<[VertexId; 4]> = front.iter().map(|&[x, y, z]| [x, y, z, vertex]).collect();
         let is_finite = !new.iter().flatten().any(|v| v.is_ghost());
-        if is_finite && mesh.replace(&cavity, &new)?.is_some() {
+        if is_finite && mesh.replace(&cavity, &new)? {
             return Ok(Some(vertex));
         }
         mesh.complex.truncate_points(count);
@@ -186,32 +184,79 @@ pub fn insert_point(mesh: &mut ConstrainedMesh, point: DVec3, hint: TetId) -> Re
     if mesh.complex.points_of(host).contains(&point) {
         return Ok(None);
     }
-    let Some(cavity) = star_cavity(mesh, point, host) else { return Ok(None) };
+    let mut marks = std::mem::take(&mut mesh.marks);
+    let cavity = star_cavity(mesh, point, host, &mut marks);
+    mesh.marks = marks;
+    let Some((cavity, front)) = cavity else { return Ok(None) };
     let count = mesh.complex.points().len();
     let vertex = mesh.complex.push_point(point)?;
-    let new: Vec<[VertexId; 4]> = mesh.shape_of(&cavity).front.iter().map(|&[a, b, c]| [a, b, c, vertex]).collect();
-    if mesh.replace(&cavity, &new)?.is_none() {
+    let new: Vec<[VertexId; 4]> = front.iter().map(|&[a, b, c]| [a, b, c, vertex]).collect();
+    if !mesh.replace(&cavity, &new)? {
         mesh.complex.truncate_points(count);
         return Ok(None);
     }
     Ok(Some(vertex))
 }
 
+/// What is known of the tets while a cavity is sought: an entry counts for one insertion or one round of it.
+#[derive(Debug, Default)]
+pub struct CavityMarks {
+    /// Twice the insertion; one more where the circumsphere contains the point.
+    conflict: Vec<u64>,
+    /// The insertion that keeps the tet out.
+    banned: Vec<u64>,
+    /// Twice the round in which it was met; one more where it is in the cavity.
+    met: Vec<u64>,
+    insertion: u64,
+    round: u64,
+}
+
+impl CavityMarks {
+    fn begin(&mut self, slots: usize) {
+        self.insertion += 1;
+        self.conflict.resize(slots, 0);
+        self.banned.resize(slots, 0);
+        self.met.resize(slots, 0);
+    }
+
+    fn is_banned(&self, tet: TetId) -> bool {
+        self.banned[tet.index()] == self.insertion
+    }
+
+    fn is_inside(&self, tet: TetId) -> bool {
+        self.met[tet.index()] == 2 * self.round + 1
+    }
+}
+
+/// Tets, and the faces around them as seen from inside.
+type Cavity = (Vec<TetId>, Vec<[VertexId; 3]>);
+
 /// A set of tets around the point that it sees from inside, and that swallows no constraint.
-fn star_cavity(mesh: &ConstrainedMesh, point: DVec3, host: TetId) -> Option<Vec<TetId>> {
-    let mut banned: FxHashSet<TetId> = FxHashSet::default();
+fn star_cavity(mesh: &ConstrainedMesh, point: DVec3, host: TetId, marks: &mut CavityMarks) -> Option<Cavity> {
+    marks.begin(mesh.complex.slot_count());
     let mut forced: Vec<TetId> = vec![host];
-    let mut conflicts: FxHashMap<TetId, bool> = FxHashMap::default();
     for _ in 0..MOST_REPAIRS {
-        let cavity = conflict_region(mesh, point, (&forced, &banned), &mut conflicts);
-        let faults = faults_of(mesh, point, &cavity);
+        let cavity = conflict_region(mesh, point, &forced, marks);
+        let mut faults = hidden_faces(mesh, point, &cavity, marks);
         if faults.is_empty() {
-            return Some(cavity);
+            let shape = mesh.shape_of(&cavity);
+            let has = |tet: TetId, e: &EdgeKey| e.iter().all(|&v| mesh.complex.local_vertex(tet, v).is_some());
+            // The last tet that has a swallowed segment: the first ones contain the point.
+            let swallowed = shape.segments.first().and_then(|e| cavity.iter().rev().copied().find(|&tet| has(tet, e)));
+            match swallowed {
+                None => return Some((cavity, shape.front)),
+                Some(tet) => faults.push((tet, None)),
+            }
         }
         // A face that the point does not see stays on the border when others go: all such tets go at once.
-        let count = banned.len();
-        banned.extend(faults.iter().map(|(tet, _)| *tet).filter(|tet| !forced.contains(tet)));
-        if banned.len() > count {
+        let mut is_new = false;
+        for (tet, _) in &faults {
+            if !forced.contains(tet) && !marks.is_banned(*tet) {
+                marks.banned[tet.index()] = marks.insertion;
+                is_new = true;
+            }
+        }
+        if is_new {
             continue;
         }
         // A tet that contains the point has to stay: its neighbour joins instead.
@@ -219,21 +264,20 @@ fn star_cavity(mesh: &ConstrainedMesh, point: DVec3, host: TetId) -> Option<Vec<
         if forced.len() > MOST_FORCED {
             return None;
         }
-        banned.remove(&beyond);
+        marks.banned[beyond.index()] = 0;
         forced.push(beyond);
     }
     None
 }
 
 /// Tets reachable from `forced` whose circumsphere contains the point.
-fn conflict_region(
-    mesh: &ConstrainedMesh,
-    point: DVec3,
-    (forced, banned): (&[TetId], &FxHashSet<TetId>),
-    conflicts: &mut FxHashMap<TetId, bool>,
-) -> Vec<TetId> {
+fn conflict_region(mesh: &ConstrainedMesh, point: DVec3, forced: &[TetId], marks: &mut CavityMarks) -> Vec<TetId> {
+    marks.round += 1;
+    let (met, inside) = (2 * marks.round, 2 * marks.round + 1);
     let mut cavity = forced.to_vec();
-    let mut seen: FxHashSet<TetId> = forced.iter().copied().collect();
+    for tet in forced {
+        marks.met[tet.index()] = inside;
+    }
     let mut next = 0;
     while next < cavity.len() {
         let tet = cavity[next];
@@ -241,16 +285,25 @@ fn conflict_region(
         for face in 0..4 {
             let side = TetFace::new(tet, face);
             let other = mesh.complex.neighbor(side);
-            if other == TetFace::NONE || seen.contains(&other.tet()) || banned.contains(&other.tet()) {
+            if other == TetFace::NONE {
                 continue;
             }
             let beyond = other.tet();
-            if mesh.complex.is_ghost_tet(beyond) || mesh.is_subface(side) {
+            let is_met = marks.met[beyond.index()] >= met;
+            if is_met || marks.is_banned(beyond) || mesh.complex.is_ghost_tet(beyond) || mesh.is_subface(side) {
                 continue;
             }
-            let [a, b, c, d] = mesh.complex.points_of(beyond);
-            seen.insert(beyond);
-            if *conflicts.entry(beyond).or_insert_with(|| insphere(a, b, c, d, point) > 0.0) {
+            let known = marks.conflict[beyond.index()];
+            let conflicts = if known / 2 == marks.insertion {
+                known % 2 == 1
+            } else {
+                let [a, b, c, d] = mesh.complex.points_of(beyond);
+                let conflicts = insphere(a, b, c, d, point) > 0.0;
+                marks.conflict[beyond.index()] = 2 * marks.insertion + u64::from(conflicts);
+                conflicts
+            };
+            marks.met[beyond.index()] = if conflicts { inside } else { met };
+            if conflicts {
                 cavity.push(beyond);
             }
         }
@@ -258,17 +311,20 @@ fn conflict_region(
     cavity
 }
 
-/// The tets with a boundary face that the point does not see from inside, or one that swallows a segment; each with what
-/// could join.
-fn faults_of(mesh: &ConstrainedMesh, point: DVec3, cavity: &[TetId]) -> Vec<(TetId, Option<TetId>)> {
-    let inside: FxHashSet<TetId> = cavity.iter().copied().collect();
+/// The tets with a boundary face that the point does not see from inside; each with what could join.
+fn hidden_faces(
+    mesh: &ConstrainedMesh,
+    point: DVec3,
+    cavity: &[TetId],
+    marks: &CavityMarks,
+) -> Vec<(TetId, Option<TetId>)> {
     let mut faults = Vec::new();
     for &tet in cavity {
         let v = mesh.complex.vertices(tet);
         for face in 0..4 {
             let side = TetFace::new(tet, face);
             let other = mesh.complex.neighbor(side);
-            if other != TetFace::NONE && inside.contains(&other.tet()) {
+            if other != TetFace::NONE && marks.is_inside(other.tet()) {
                 continue;
             }
             let [a, b, c] = TET_FACES[face].map(|i| mesh.at(v[i]));
@@ -278,13 +334,6 @@ fn faults_of(mesh: &ConstrainedMesh, point: DVec3, cavity: &[TetId]) -> Vec<(Tet
                 break;
             }
         }
-    }
-    if faults.is_empty() {
-        let shape = mesh.shape_of(cavity);
-        let has = |tet: TetId, e: &EdgeKey| e.iter().all(|&v| mesh.complex.local_vertex(tet, v).is_some());
-        // The last tet that has the segment: the first ones contain the point.
-        let swallowed = shape.segments.first().and_then(|e| cavity.iter().rev().copied().find(|&tet| has(tet, e)));
-        faults.extend(swallowed.map(|tet| (tet, None)));
     }
     faults
 }

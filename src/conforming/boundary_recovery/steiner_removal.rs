@@ -85,7 +85,7 @@ pub fn remove_vertex(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effo
             let Some(new) = fill_cavity(&shape.front, &shape.sheets, |v| mesh.at(v), effort.steps, &mut budget) else {
                 continue;
             };
-            if contains_edges(&new, &shape.segments) && mesh.replace(&grown, &new)?.is_some() {
+            if contains_edges(&new, &shape.segments) && mesh.replace(&grown, &new)? {
                 mesh.cavities[1] += 1;
                 mesh.complex.set_tet_of(vertex, TetId::NONE);
                 return Ok(true);
@@ -109,14 +109,14 @@ fn contract_or_fill(mesh: &mut ConstrainedMesh, vertex: VertexId, steps: usize, 
     for target in targets {
         let cone = front.iter().filter(|f| !f.contains(&target)).map(|&[a, b, c]| [a, b, c, target]);
         let new: Vec<[VertexId; 4]> = cone.collect();
-        if mesh.replace(&ball, &new)?.is_some() {
+        if mesh.replace(&ball, &new)? {
             mesh.complex.set_tet_of(vertex, TetId::NONE);
             return Ok(true);
         }
     }
     mesh.cavities[0] += 1;
     let Some(new) = fill_cavity(&front, &[], |v| mesh.at(v), steps, budget) else { return Ok(false) };
-    if mesh.replace(&ball, &new)?.is_none() {
+    if !mesh.replace(&ball, &new)? {
         return Ok(false);
     }
     mesh.cavities[1] += 1;
@@ -129,18 +129,18 @@ pub fn thin_ball(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effort) 
     let mut tries = effort.tries;
     loop {
         let ball = mesh.ball(vertex);
-        let mut link: Vec<VertexId> = ball.iter().flat_map(|&t| mesh.complex.vertices(t)).collect();
-        link.sort_unstable();
-        link.dedup();
-        link.retain(|&v| v != vertex && !v.is_ghost());
+        // Each neighbour with a tet of the edge to it, which stays until something changes: balls may be large.
+        let corners = ball.iter().flat_map(|&tet| mesh.complex.vertices(tet).map(|v| (v, tet)));
+        let mut link: Vec<(VertexId, TetId)> = corners.filter(|(v, _)| *v != vertex && !v.is_ghost()).collect();
+        link.sort_by_key(|(v, _)| *v);
+        link.dedup_by_key(|(v, _)| *v);
         let mut thinned = false;
-        for other in link {
-            if let Some(plan) = plan_removal(mesh, vertex, other, effort.ring) {
-                thinned |= mesh.replace(&plan.old, &plan.new)?.is_some();
+        for (other, tet) in link {
+            if let Some(plan) = plan_removal(mesh, [vertex, other], tet, effort.ring) {
+                thinned |= mesh.replace(&plan.old, &plan.new)?;
             } else if effort.depth > 0 {
                 let reach = Reach { depth: effort.depth.min(2), ring: effort.ring, turn: 0, aim: None };
-                thinned |=
-                    remove_edge(mesh, ([vertex, other], TetId::NONE), reach, &mut tries, &mut Journal::default())?;
+                thinned |= remove_edge(mesh, ([vertex, other], tet), reach, &mut tries, &mut Journal::default())?;
             }
             if thinned {
                 break;
