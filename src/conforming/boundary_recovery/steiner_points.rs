@@ -9,7 +9,6 @@
 //! # Source
 //! [Bowyer1981], [Watson1981] for the cavity; [GeorgeBorouchaki2003] for points on constraints.
 
-use glam::DVec3;
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey};
 use super::crossings::{Crossing, Path, tets_across, tets_along, trace};
 use crate::error::Result;
@@ -17,6 +16,7 @@ use crate::geometry::predicates::{insphere, orient3d};
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_FACES;
 use crate::mesh::tet_store::TetStore;
+use glam::DVec3;
 
 /// Repairs of a cavity before the insertion is given up.
 const MOST_REPAIRS: usize = 200;
