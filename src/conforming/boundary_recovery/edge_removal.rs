@@ -57,7 +57,33 @@ pub struct Ring {
     vertices: [VertexId; MOST_RING],
 }
 
+impl Default for Ring {
+    fn default() -> Self {
+        Self { count: 0, tets: [TetId::NONE; MOST_RING], vertices: [VertexId::GHOST; MOST_RING] }
+    }
+}
+
 impl Ring {
+    /// Becomes the ring around the edge of `start`; false where it reaches the hull or has more than `limit` tets.
+    fn collect(&mut self, mesh: &ConstrainedMesh, start: ShellTet, limit: usize) -> bool {
+        self.count = 0;
+        let mut current = start;
+        loop {
+            let apex = mesh.complex.vertices(current.tet)[current.c];
+            if self.count == limit.min(MOST_RING) || apex.is_ghost() {
+                return false;
+            }
+            self.tets[self.count] = current.tet;
+            self.vertices[self.count] = apex;
+            self.count += 1;
+            match current.next(&mesh.complex) {
+                Some(next) if next.tet == start.tet => return true,
+                Some(next) => current = next,
+                None => return false,
+            }
+        }
+    }
+
     /// The tets, turning around the edge.
     #[inline]
     pub fn tets(&self) -> &[TetId] {
@@ -74,25 +100,8 @@ impl Ring {
 /// The ring of an edge, looked for in the tets `hints` first; `None` where the edge does not exist, lies on the hull or
 /// has more than `limit` tets.
 pub fn ring_of(mesh: &ConstrainedMesh, edge: [VertexId; 2], hint: TetId, limit: usize) -> Option<Ring> {
-    ring_from(mesh, shell_start(mesh, edge, &[hint])?, limit)
-}
-
-fn ring_from(mesh: &ConstrainedMesh, start: ShellTet, limit: usize) -> Option<Ring> {
-    let mut ring = Ring { count: 0, tets: [TetId::NONE; MOST_RING], vertices: [VertexId::GHOST; MOST_RING] };
-    let mut current = start;
-    loop {
-        let apex = mesh.complex.vertices(current.tet)[current.c];
-        if ring.count == limit.min(MOST_RING) || apex.is_ghost() {
-            return None;
-        }
-        ring.tets[ring.count] = current.tet;
-        ring.vertices[ring.count] = apex;
-        ring.count += 1;
-        match current.next(&mesh.complex) {
-            Some(next) if next.tet == start.tet => return Some(ring),
-            next => current = next?,
-        }
-    }
+    let mut ring = Ring::default();
+    ring.collect(mesh, shell_start(mesh, edge, &[hint])?, limit).then_some(ring)
 }
 
 /// The best removal of the edge u v, or `None` where it is a constraint or cannot be removed alone. `hint` as in
@@ -377,7 +386,8 @@ impl Removal<'_> {
         let mut is_first = true;
         // The outer ring gets shorter only where its tets at the spoke become one: the far end is an ear of this ring.
         let ear = self.open.last().and_then(|outer| outer.iter().copied().find(|v| !edge.contains(v)));
-        while let Some(ring) = ring_from(mesh, start, self.reach.ring) {
+        let mut ring = Ring::default();
+        while ring.collect(mesh, start, self.reach.ring) {
             let taken = self.taken(mesh, ring.tets());
             // The shells of nested removals share no tets but the two at the spoke: that ends the recursion early,
             // where it would only turn in a circle.
@@ -400,12 +410,10 @@ impl Removal<'_> {
             if self.open.len() >= self.reach.depth {
                 break;
             }
-            let (ring, ears) = match shorter {
-                None => (ring, ears),
-                Some(start) => match ring_from(mesh, start, self.reach.ring) {
-                    Some(ring) => (ring, Ears::of(mesh, edge, &ring)),
-                    None => break,
-                },
+            let ears = match shorter {
+                None => ears,
+                Some(start) if ring.collect(mesh, start, self.reach.ring) => Ears::of(mesh, edge, &ring),
+                Some(_) => break,
             };
             if !self.remove_spoke(mesh, edge, (&ring, ears))? {
                 break;

@@ -43,7 +43,7 @@ pub fn remove_steiner_points(
             }
         }
         points = left;
-        if points.is_empty() || (points.len() == before && pass > 1) {
+        if points.is_empty() || (points.len() == before && pass > 0) {
             break;
         }
         for &vertex in &points {
