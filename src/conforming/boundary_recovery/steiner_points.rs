@@ -201,30 +201,61 @@ pub fn insert_point(mesh: &mut ConstrainedMesh, point: DVec3, hint: TetId) -> Re
 /// What is known of the tets while a cavity is sought: an entry counts for one insertion or one round of it.
 #[derive(Debug, Default)]
 pub struct CavityMarks {
-    /// Twice the insertion; one more where the circumsphere contains the point.
-    conflict: Vec<u64>,
-    /// The insertion that keeps the tet out.
-    banned: Vec<u64>,
-    /// Twice the round in which it was met; one more where it is in the cavity.
+    /// The insertion, and below it the bits of what was computed in it.
+    known: Vec<u64>,
+    /// Twice the round in which the tet was met; one more where it is in the cavity.
     met: Vec<u64>,
     insertion: u64,
     round: u64,
 }
 
+/// Bits of [`CavityMarks::known`]; for each of the four faces one of `SEEN` and one of `HIDDEN`.
+const TESTED: u64 = 1;
+const CONFLICT: u64 = 2;
+const BANNED: u64 = 4;
+const SEEN: u64 = 8;
+const HIDDEN: u64 = 128;
+const BITS: u32 = 16;
+
 impl CavityMarks {
     fn begin(&mut self, slots: usize) {
         self.insertion += 1;
-        self.conflict.resize(slots, 0);
-        self.banned.resize(slots, 0);
+        self.known.resize(slots, 0);
         self.met.resize(slots, 0);
     }
 
-    fn is_banned(&self, tet: TetId) -> bool {
-        self.banned[tet.index()] == self.insertion
+    /// The entry of a tet in this insertion.
+    fn known(&mut self, tet: TetId) -> &mut u64 {
+        let entry = &mut self.known[tet.index()];
+        if *entry >> BITS != self.insertion {
+            *entry = self.insertion << BITS;
+        }
+        entry
     }
 
     fn is_inside(&self, tet: TetId) -> bool {
         self.met[tet.index()] == 2 * self.round + 1
+    }
+
+    /// Whether the circumsphere of the tet contains the point.
+    fn conflicts(&mut self, mesh: &ConstrainedMesh, tet: TetId, point: DVec3) -> bool {
+        let known = self.known(tet);
+        if *known & TESTED == 0 {
+            let [a, b, c, d] = mesh.complex.points_of(tet);
+            *known |= if insphere(a, b, c, d, point) > 0.0 { TESTED | CONFLICT } else { TESTED };
+        }
+        *known & CONFLICT != 0
+    }
+
+    /// Whether the point does not lie strictly inside of a face of the tet.
+    fn hides(&mut self, mesh: &ConstrainedMesh, side: TetFace, point: DVec3) -> bool {
+        let known = self.known(side.tet());
+        let [seen, hidden] = [SEEN, HIDDEN].map(|bit| bit << side.face());
+        if *known & (seen | hidden) == 0 {
+            let [a, b, c] = mesh.complex.face_vertices(side).map(|v| mesh.at(v));
+            *known |= if orient3d(a, b, c, point) >= 0.0 { hidden } else { seen };
+        }
+        *known & hidden != 0
     }
 }
 
@@ -251,8 +282,9 @@ fn star_cavity(mesh: &ConstrainedMesh, point: DVec3, host: TetId, marks: &mut Ca
         // A face that the point does not see stays on the border when others go: all such tets go at once.
         let mut is_new = false;
         for (tet, _) in &faults {
-            if !forced.contains(tet) && !marks.is_banned(*tet) {
-                marks.banned[tet.index()] = marks.insertion;
+            let known = marks.known(*tet);
+            if !forced.contains(tet) && *known & BANNED == 0 {
+                *known |= BANNED;
                 is_new = true;
             }
         }
@@ -264,7 +296,7 @@ fn star_cavity(mesh: &ConstrainedMesh, point: DVec3, host: TetId, marks: &mut Ca
         if forced.len() > MOST_FORCED {
             return None;
         }
-        marks.banned[beyond.index()] = 0;
+        *marks.known(beyond) &= !BANNED;
         forced.push(beyond);
     }
     None
@@ -290,18 +322,10 @@ fn conflict_region(mesh: &ConstrainedMesh, point: DVec3, forced: &[TetId], marks
             }
             let beyond = other.tet();
             let is_met = marks.met[beyond.index()] >= met;
-            if is_met || marks.is_banned(beyond) || mesh.complex.is_ghost_tet(beyond) || mesh.is_subface(side) {
+            if is_met || *marks.known(beyond) & BANNED != 0 || mesh.complex.is_ghost_tet(beyond) || mesh.is_subface(side) {
                 continue;
             }
-            let known = marks.conflict[beyond.index()];
-            let conflicts = if known / 2 == marks.insertion {
-                known % 2 == 1
-            } else {
-                let [a, b, c, d] = mesh.complex.points_of(beyond);
-                let conflicts = insphere(a, b, c, d, point) > 0.0;
-                marks.conflict[beyond.index()] = 2 * marks.insertion + u64::from(conflicts);
-                conflicts
-            };
+            let conflicts = marks.conflicts(mesh, beyond, point);
             marks.met[beyond.index()] = if conflicts { inside } else { met };
             if conflicts {
                 cavity.push(beyond);
@@ -316,19 +340,17 @@ fn hidden_faces(
     mesh: &ConstrainedMesh,
     point: DVec3,
     cavity: &[TetId],
-    marks: &CavityMarks,
+    marks: &mut CavityMarks,
 ) -> Vec<(TetId, Option<TetId>)> {
     let mut faults = Vec::new();
     for &tet in cavity {
-        let v = mesh.complex.vertices(tet);
         for face in 0..4 {
             let side = TetFace::new(tet, face);
             let other = mesh.complex.neighbor(side);
             if other != TetFace::NONE && marks.is_inside(other.tet()) {
                 continue;
             }
-            let [a, b, c] = TET_FACES[face].map(|i| mesh.at(v[i]));
-            if orient3d(a, b, c, point) >= 0.0 {
+            if marks.hides(mesh, side, point) {
                 let open = other != TetFace::NONE && !mesh.is_subface(side) && !mesh.complex.is_ghost_tet(other.tet());
                 faults.push((tet, open.then(|| other.tet())));
                 break;
