@@ -322,7 +322,11 @@ fn conflict_region(mesh: &ConstrainedMesh, point: DVec3, forced: &[TetId], marks
             }
             let beyond = other.tet();
             let is_met = marks.met[beyond.index()] >= met;
-            if is_met || *marks.known(beyond) & BANNED != 0 || mesh.complex.is_ghost_tet(beyond) || mesh.is_subface(side) {
+            if is_met
+                || *marks.known(beyond) & BANNED != 0
+                || mesh.complex.is_ghost_tet(beyond)
+                || mesh.is_subface(side)
+            {
                 continue;
             }
             let conflicts = marks.conflicts(mesh, beyond, point);
