@@ -99,7 +99,7 @@ impl TetMeasure for BiasedSine {
 
 /// The angle that tets off the boundary are expected to reach at any price for those on it, degrees. The large angle of
 /// the same grade is 153.5.
-const STRICT_ANGLE: f64 = 15.0;
+pub const STRICT_ANGLE: f64 = 15.0;
 
 /// The grade of a tet that nothing forces to be bad: below `STRICT_ANGLE` it falls with the thirteenth power, so that no
 /// operation pays for a better tet at the boundary, where the surface may force bad angles, with a bad one off it.

@@ -41,6 +41,7 @@ pub mod refinement;
 pub mod report;
 pub mod sliver_removal;
 pub mod smoothing;
+pub mod spacing;
 pub mod tet_prediction;
 pub mod vertex_insertion;
 pub mod volume_generation;

@@ -23,8 +23,9 @@
 
 mod tet_treatment;
 
+use tet_treatment::SPACING;
 use tet_treatment::TreatJob;
-pub use tet_treatment::{Crowding, Treatment};
+pub use tet_treatment::{Crowding, FLAT_BELOW, Treatment, count_of_bad};
 
 use rayon::prelude::*;
 
@@ -35,6 +36,7 @@ use super::local_reconnection::{FlipCounts, FourFour, Objective, Reconnector};
 use super::options::Options;
 use super::sliver_removal::SliverScratch;
 use super::smoothing::{Smoother, SmoothingRule};
+use super::spacing::Spacing;
 use super::vertex_insertion::{Insertion, InsertionRule, insert_vertex};
 use crate::context::RunContext;
 use crate::error::Result;
@@ -215,6 +217,7 @@ struct SmoothJob<'a> {
     /// The rule for vertices beside the boundary.
     near_boundary: &'a SmoothingRule,
     on_boundary: &'a [bool],
+    sizes: &'a [f64],
 }
 
 impl Job for SmoothJob<'_> {
@@ -228,7 +231,8 @@ impl Job for SmoothJob<'_> {
         let is_near = tet != TetId::NONE
             && store.vertices(tet).iter().any(|v| self.on_boundary.get(v.index()).copied().unwrap_or(false));
         let rule = if is_near { self.near_boundary } else { self.rule };
-        let outcome = kit.smoother.smooth(store, vertex, &BiasedSine, rule);
+        let spacing = Spacing { sizes: self.sizes, factor: SPACING };
+        let outcome = kit.smoother.smooth(store, vertex, &BiasedSine, rule, spacing);
         store.release_claims();
         if outcome == Outcome::Accepted {
             kit.tally.smoothed += 1;
@@ -563,12 +567,12 @@ impl Driver {
         &mut self,
         complex: &mut TetComplex,
         vertices: Vec<VertexId>,
-        on_boundary: &[bool],
+        (on_boundary, sizes): (&[bool], &[f64]),
         rule: &SmoothingRule,
         boundary_factor: f64,
     ) -> Result<Vec<VertexId>> {
         let near_boundary = SmoothingRule { coefficient: rule.coefficient * boundary_factor, ..*rule };
-        let job = SmoothJob { rule, near_boundary: &near_boundary, on_boundary };
+        let job = SmoothJob { rule, near_boundary: &near_boundary, on_boundary, sizes };
         self.run(complex, &job, vertices, 0)?;
         Ok(self.kits.iter_mut().flat_map(|kit| std::mem::take(&mut kit.moved)).collect())
     }

@@ -174,9 +174,12 @@ const EDGE_OF_UNIT_AREA: f64 = 1.519_671_371_303_185;
 /// Where the longest edge at a vertex is longer than this many times the shortest, their average describes neither. On
 /// surfaces graded for analysis the ratio stays below 3.
 const UNEVEN_EDGES: f64 = 4.0;
+/// Share of its size that a vertex with uneven edges keeps clear at least: points closer to it would have edges shorter
+/// than half the size field, on a gear nearly every second edge.
+const LEAST_CLEARANCE: f64 = 0.5;
 
 /// How far points have to stay from each vertex, before the factor `cdfn`: its size, but at boundary vertices with uneven
-/// edges no more than the narrowest triangle there is wide. `scale` is the multiplier of the distribution function.
+/// edges no more than the narrowest triangle there is wide, or [`LEAST_CLEARANCE`] of its size. `scale` is the multiplier of the distribution function.
 pub fn clearances(points: &[DVec3], triangles: &[[VertexId; 3]], sizes: &[f64], scale: f64) -> Vec<f64> {
     let mut shortest = vec![f64::INFINITY; sizes.len()];
     let mut longest = vec![0.0f64; sizes.len()];
@@ -184,7 +187,7 @@ pub fn clearances(points: &[DVec3], triangles: &[[VertexId; 3]], sizes: &[f64], 
     for triangle in triangles {
         let [a, b, c] = triangle.map(|v| points[v.index()]);
         let lengths = [(b - a).length(), (c - b).length(), (a - c).length()];
-        let of_area = EDGE_OF_UNIT_AREA * (0.5 * (b - a).cross(c - a).length()).sqrt();
+        let of_area = width_of(a, b, c);
         for (corner, v) in triangle.iter().map(|v| v.index()).enumerate() {
             for length in [lengths[corner], lengths[(corner + 2) % 3]] {
                 shortest[v] = shortest[v].min(length);
@@ -195,7 +198,7 @@ pub fn clearances(points: &[DVec3], triangles: &[[VertexId; 3]], sizes: &[f64], 
     }
     let bound = |v: usize| {
         let is_uneven = longest[v] > UNEVEN_EDGES * shortest[v];
-        if is_uneven { sizes[v].min(scale * width[v]) } else { sizes[v] }
+        if is_uneven { sizes[v].min((scale * width[v]).max(LEAST_CLEARANCE * sizes[v])) } else { sizes[v] }
     };
     (0..sizes.len()).map(bound).collect()
 }
@@ -245,10 +248,24 @@ fn is_clear_of_boundary<S: TetStore + ?Sized>(
             return true;
         }
         let vertices = store.face_vertices(side);
+        let corners = store.triangle(vertices);
         let average = vertices.iter().map(|v| sizes[v.index()]).sum::<f64>() / 3.0;
-        let limit = near_factor * size.max(average);
-        squared_distance_to_triangle(point, store.triangle(vertices)) >= limit * limit
+        let limit = near_factor * size.max(average.min(needle_width(corners)));
+        squared_distance_to_triangle(point, corners) >= limit * limit
     })
+}
+
+/// The width of a needle; infinite for other triangles.
+fn needle_width([a, b, c]: [DVec3; 3]) -> f64 {
+    let squared = [(b - a).length_squared(), (c - b).length_squared(), (a - c).length_squared()];
+    let [longest, shortest] =
+        [squared.into_iter().fold(0.0, f64::max), squared.into_iter().fold(f64::INFINITY, f64::min)];
+    if longest > UNEVEN_EDGES * UNEVEN_EDGES * shortest { width_of(a, b, c) } else { f64::INFINITY }
+}
+
+/// The edge of the equilateral triangle that has the area of this one.
+fn width_of(a: DVec3, b: DVec3, c: DVec3) -> f64 {
+    EDGE_OF_UNIT_AREA * (0.5 * (b - a).cross(c - a).length()).sqrt()
 }
 
 #[cfg(test)]
@@ -267,13 +284,24 @@ mod tests {
             .map(|t| t.map(VertexId))
             .collect();
         triangles.push([6, 8, 7].map(VertexId));
-        let sizes = vec![3.0; points.len() + 1];
+        let sizes = vec![2.0; points.len() + 1];
         let found = clearances(&points, &triangles, &sizes, 1.2);
-        assert!((0..6).all(|v| found[v] == 3.0), "squares are even");
+        assert!((0..6).all(|v| found[v] == 2.0), "squares are even");
         // The narrowest triangle at the end of the strip is half a square of area 0.5.
         let width = 1.2 * EDGE_OF_UNIT_AREA * 0.5f64.sqrt();
         assert!((found[6] - width).abs() < 1e-12 && (found[7] - width).abs() < 1e-12);
-        assert_eq!(found[8], 3.0, "both edges of the tip are long");
-        assert_eq!(found[9], 3.0, "not on the surface");
+        assert_eq!(found[8], 2.0, "both edges of the tip are long");
+        assert_eq!(found[9], 2.0, "not on the surface");
+        // Points keep half the size away from the ends of much narrower ones.
+        let found = clearances(&points, &triangles, &vec![9.0; points.len() + 1], 1.2);
+        assert!(found[6] == 4.5 && found[7] == 4.5 && found[0] == 9.0);
+    }
+
+    #[test]
+    fn needles_are_as_wide_as_their_area_says() {
+        let [a, b] = [DVec3::ZERO, DVec3::X];
+        assert_eq!(needle_width([a, b, DVec3::new(0.5, 3.0, 0.0)]), f64::INFINITY);
+        let width = needle_width([a, b, DVec3::new(0.5, 10.0, 0.0)]);
+        assert!((width * width * 3f64.sqrt() / 4.0 - 5.0).abs() < 1e-12, "an equilateral triangle of the same area");
     }
 }

@@ -8,7 +8,8 @@
 //! 4. works through the tets above `angqmsk` or below the matching small angle, worst first: edge removal, multi-face
 //!    removal, a search for the best place of each vertex; for those above `angdfs` also vertex removal and insertion.
 //!
-//! After the passes the worst tets get all operations. Up to `nqualf` times, while a tet is above `angqmax`, passes and
+//! After the passes the worst tets get all operations, points close to others only as long as few of them are. Tets that
+//! are nearly flat, or bad without a vertex on the boundary, get them wherever the points come to lie. Up to `nqualf` times, while a tet is above `angqmax`, passes and
 //! operations are repeated around these tets.
 //!
 //! # Source
@@ -31,10 +32,10 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
-use super::flip_criteria::{BiasedSine, TetMeasure};
+use super::flip_criteria::{BiasedSine, STRICT_ANGLE, StrictInside, TetMeasure};
 use super::local_reconnection::{FourFour, Objective};
 use super::options::Options;
-use super::parallel_reconnection::{Crowding, Driver, Touched, Treatment};
+use super::parallel_reconnection::{Crowding, Driver, FLAT_BELOW, Touched, Treatment, count_of_bad};
 use super::refinement::boundary_triangles;
 use super::smoothing::{Acceptance, SmoothingRule, Target};
 use crate::context::RunContext;
@@ -50,8 +51,13 @@ use crate::statistics::Statistics;
 
 /// Most rounds over the worst tets after the passes.
 const WORST_ROUNDS: usize = 6;
+/// Most rounds over the tets that may not stay, after these.
+const LAST_ROUNDS: usize = 12;
 /// Angles that the rounds over the worst tets aim at, degrees: beyond what users ask for, so that they get it.
 const WORST_GOAL: (f64, f64) = (24.0, 145.0);
+/// Share of the vertices that may be inserted closer to others than the sizes want, for the worst tets. On surfaces with
+/// needles everywhere most edges would be too short if points crowded around each bad tet.
+const CROWDED_POINTS: f64 = 0.01;
 /// Tets per parallel chunk.
 const CHUNK: usize = 2048;
 
@@ -309,8 +315,8 @@ pub fn improve(
     let driver = Driver::for_quality(options, context);
     let angle = options.quality_angle.min(options.mask_angle);
     let known = Known { angle, grade: BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1) };
-    let crowding = Crowding::Refused;
-    let mut improver = Improver { options, context, on_boundary: &on_boundary, driver, known, crowding };
+    let crowded_points = (CROWDED_POINTS * complex.vertex_count() as f64) as usize;
+    let mut improver = Improver { options, context, on_boundary: &on_boundary, driver, known, crowded_points };
     let passes = options.quality_passes;
     let mut scope = Scope::default();
     for repeat in 0..=options.quality_repeats {
@@ -370,8 +376,8 @@ struct Improver<'a> {
     on_boundary: &'a [bool],
     driver: Driver,
     known: Known,
-    /// Refused until the passes over the whole mesh are done: many tets are bad before.
-    crowding: Crowding,
+    /// Points that may still be inserted closer to others than the sizes want.
+    crowded_points: usize,
 }
 
 impl Improver<'_> {
@@ -383,7 +389,7 @@ impl Improver<'_> {
             let within = |row: &[VertexId; 4]| scope.holds(row);
             self.driver.collapse_small_edges(complex, sizes, options.small_edge_factor, &within)?;
         }
-        self.smooth(complex, scope)?;
+        self.smooth(complex, sizes, scope)?;
         // The grade that the masking angle has; small angles of the same grade count as well.
         let mask = BiasedSine::grade_of_angles(90.0, options.mask_angle);
         let goal = mask.min(BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1));
@@ -397,8 +403,8 @@ impl Improver<'_> {
                 near.append(self.driver.take_touched());
                 let around = Scope::of_changes(complex, &std::mem::take(&mut near));
                 let slivers = self.known.tets_above(complex, context, &around, options.field_sliver_angle);
-                let treatment = Treatment::everything(goal, self.crowding);
                 // What was tried in vain is tried again only where something has changed beside it.
+                let treatment = Treatment::everything(goal, Crowding::Refused);
                 if slivers.is_empty() || self.driver.treat(complex, sizes, self.on_boundary, slivers, &treatment)? == 0
                 {
                     break;
@@ -427,7 +433,7 @@ impl Improver<'_> {
         }
     }
 
-    fn smooth(&mut self, complex: &mut TetComplex, scope: &Scope) -> Result<()> {
+    fn smooth(&mut self, complex: &mut TetComplex, sizes: &[f64], scope: &Scope) -> Result<()> {
         let options = self.options;
         let masked = self.known.tets_above(complex, self.context, scope, options.mask_angle);
         let mut vertices = vertices_of(complex, &masked);
@@ -438,7 +444,7 @@ impl Improver<'_> {
         };
         let factor = options.boundary_smoothing_factor;
         for _ in 0..options.smoothing_iterations {
-            vertices = self.driver.smooth(complex, vertices, self.on_boundary, &rule, factor)?;
+            vertices = self.driver.smooth(complex, vertices, (self.on_boundary, sizes), &rule, factor)?;
         }
         Ok(())
     }
@@ -446,7 +452,6 @@ impl Improver<'_> {
     /// All operations at the worst tets of the scope, while they help.
     fn treat_worst(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>, scope: &Scope) -> Result<()> {
         let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
-        let everything = self.options.delete_field_slivers;
         self.driver.take_touched();
         let mut touched: Option<Scope> = None;
         for _ in 0..WORST_ROUNDS {
@@ -454,17 +459,62 @@ impl Improver<'_> {
             // Where nothing has changed, what failed fails again.
             let scope = touched.as_ref().unwrap_or(scope);
             let bad = self.known.tets_below(complex, self.context, scope, goal);
-            if scope.0.is_none() {
-                self.crowding = Crowding::for_mesh(complex, &bad);
-            }
-            let treatment =
-                if everything { Treatment::everything(goal, self.crowding) } else { Treatment::topological(goal) };
-            if bad.is_empty() || self.driver.treat(complex, sizes, self.on_boundary, bad, &treatment)? == 0 {
+            if bad.is_empty() || self.treat_bad(complex, sizes, bad, goal)? == 0 {
                 break;
             }
             touched = Some(Scope::of_changes(complex, &self.driver.take_touched()));
         }
+        self.treat_unbearable(complex, sizes, goal)
+    }
+
+    /// All operations, wherever points come to lie, at the tets that may not stay: nearly flat ones and bad ones off the
+    /// boundary, which nothing forces.
+    fn treat_unbearable(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>, goal: f64) -> Result<()> {
+        if !self.options.delete_field_slivers {
+            return Ok(());
+        }
+        let flat = FLAT_BELOW.to_radians().sin();
+        for _ in 0..LAST_ROUNDS {
+            self.context.check()?;
+            let limit = STRICT_ANGLE.to_radians().sin();
+            let mut bad = self.known.tets_below(complex, self.context, &Scope::default(), limit);
+            let measure = StrictInside { on_boundary: self.on_boundary };
+            bad.retain(|&tet| {
+                measure.is_strict(&complex.vertices(tet)) || BiasedSine.grade(complex.points_of(tet)) < flat
+            });
+            let treatment = Treatment::everything(goal, Crowding::Allowed);
+            if bad.is_empty() || self.driver.treat(complex, sizes, self.on_boundary, bad, &treatment)? == 0 {
+                break;
+            }
+        }
         Ok(())
+    }
+
+    /// All operations at bad tets, worst first; returns how many were carried out. Points crowd around the first ones
+    /// while there is room for that.
+    fn treat_bad(
+        &mut self,
+        complex: &mut TetComplex,
+        sizes: &mut Vec<f64>,
+        mut bad: Vec<TetId>,
+        goal: f64,
+    ) -> Result<usize> {
+        let mut done = 0;
+        if !self.options.delete_field_slivers {
+            return self.driver.treat(complex, sizes, self.on_boundary, bad, &Treatment::topological(goal));
+        }
+        let count = self.crowded_points.min(count_of_bad(complex, &bad));
+        if count > 0 {
+            let rest = bad.split_off(count);
+            let before = self.driver.vertex_changes().inserted;
+            let treatment = Treatment::everything(goal, Crowding::Allowed);
+            done += self.driver.treat(complex, sizes, self.on_boundary, bad, &treatment)?;
+            let inserted = self.driver.vertex_changes().inserted - before;
+            self.crowded_points = self.crowded_points.saturating_sub(inserted as usize);
+            bad = rest;
+        }
+        let treatment = Treatment::everything(goal, Crowding::Refused);
+        Ok(done + self.driver.treat(complex, sizes, self.on_boundary, bad, &treatment)?)
     }
 }
 

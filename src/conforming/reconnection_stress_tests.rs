@@ -80,7 +80,7 @@ fn stress(threads: usize, seed: u64) {
     let vertices: Vec<VertexId> = (8..complex.vertex_count()).map(VertexId::from_index).collect();
     let on_boundary: Vec<bool> = (0..complex.vertex_count()).map(|v| v < 8).collect();
     let rule = SmoothingRule { target: Target::OptimalPlacement, coefficient: 0.5, acceptance: Acceptance::Valid };
-    driver.smooth(&mut complex, vertices, &on_boundary, &rule, 0.5).unwrap();
+    driver.smooth(&mut complex, vertices, (&on_boundary, &sizes), &rule, 0.5).unwrap();
     check(&complex, expected_walls, "smoothing");
 }
 

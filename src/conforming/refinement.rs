@@ -311,8 +311,9 @@ enum Places {
     Centers,
 }
 
-/// Edges longer than this many times the average size of their ends are out of the range that meshes are judged by.
-const FAR_TOO_LONG: f64 = 2.0;
+/// Edges longer than this many times the average size of their ends are out of the range that meshes are judged by: with
+/// the default factor of 1.2 they are twice as long as the boundary's.
+const FAR_TOO_LONG: f64 = 1.7;
 
 fn centers_of_large(complex: &TetComplex, sizes: &[f64], active: &[TetId]) -> Vec<Candidate> {
     let tolerated = Satisfaction::new(FAR_TOO_LONG, 180.0);

@@ -31,6 +31,7 @@ use glam::DVec3;
 use super::flip_criteria::{TetMeasure, strict};
 use super::flips::{FlipScratch, Outcome};
 use super::smoothing::Star;
+use super::spacing::Spacing;
 use crate::geometry::tetrahedron::dihedral_angles;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::{TET_EDGE_BETWEEN, TET_EDGES, TET_OPPOSITE_EDGES};
@@ -55,12 +56,14 @@ pub struct SliverScratch {
 }
 
 /// What an inserted point must keep to.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct InsertionLimits {
+#[derive(Debug, Clone, Copy)]
+pub struct InsertionLimits<'a> {
     /// No new tet is below this grade.
     pub floor: f64,
-    /// No vertex around is closer than this, mm.
-    pub spacing: f64,
+    /// Distances to the vertices around.
+    pub spacing: Spacing<'a>,
+    /// The size of the point.
+    pub size: f64,
     /// Whether the shells of the other four edges are tried as well: where the surface holds the edges with the largest
     /// angles, theirs are the only polyhedra there are.
     pub every_edge: bool,
@@ -80,7 +83,7 @@ pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
     store: &mut S,
     tet: TetId,
     vertex: VertexId,
-    limits: InsertionLimits,
+    limits: InsertionLimits<'_>,
     measure: &M,
     scratch: &mut SliverScratch,
     flips: &mut FlipScratch,
@@ -132,7 +135,7 @@ pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
             last = Outcome::WouldInvert;
             continue;
         };
-        if grade > bound && scratch.star.keeps_distance(place, limits.spacing) {
+        if grade > bound && scratch.keeps_distance(store, place, &limits) {
             best = Some((grade, old, place));
             scratch.best.clone_from(&scratch.cavity);
         }
@@ -186,6 +189,12 @@ fn gather<S: TetStore + ?Sized, M: TetMeasure>(
 }
 
 impl SliverScratch {
+    /// Whether a point at `place` keeps its distance from the vertices of the border.
+    fn keeps_distance<S: TetStore + ?Sized>(&self, store: &S, place: DVec3, limits: &InsertionLimits<'_>) -> bool {
+        let keeps = |v: VertexId| limits.spacing.holds(limits.size, v, store.point(v).distance_squared(place));
+        limits.spacing.is_free() || self.border.iter().all(|&side| store.face_vertices(side).into_iter().all(keeps))
+    }
+
     /// The star of the border's faces.
     fn fill_star<S: TetStore + ?Sized, M: TetMeasure>(&mut self, store: &S, measure: &M) {
         self.star.faces.clear();
@@ -281,6 +290,9 @@ mod tests {
     use crate::index::Label;
     use crate::mesh::tet_complex::TetComplex;
 
+    const FREE: InsertionLimits<'_> =
+        InsertionLimits { floor: 0.0, spacing: Spacing::FREE, size: 0.0, every_edge: false };
+
     /// The Delaunay tets of points by a linear congruential generator: many are slivers.
     fn random_mesh(count: usize) -> TetComplex {
         let mut state = 11u32;
@@ -320,7 +332,7 @@ mod tests {
                 let first = (0..6).max_by(|&i, &j| angles[i].total_cmp(&angles[j])).unwrap();
                 let held = TET_EDGES[first].map(|i| complex.vertices(tet)[i]);
                 hold_edge(&mut complex, held);
-                let limits = InsertionLimits { floor: 0.0, spacing: 0.0, every_edge };
+                let limits = InsertionLimits { every_edge, ..FREE };
                 let (mut scratch, mut flips) = (SliverScratch::default(), FlipScratch::default());
                 let (outcome, place) =
                     plan_sliver_insertion(&mut complex, tet, spare, limits, &BiasedSine, &mut scratch, &mut flips);
@@ -357,7 +369,7 @@ mod tests {
             }
             let grade = BiasedSine.grade(mesh.points_of(tet));
             let (mut scratch, mut flips) = (SliverScratch::default(), FlipScratch::default());
-            let limits = (InsertionLimits { floor: 1.3 * grade, ..InsertionLimits::default() }, 1.3);
+            let limits = (InsertionLimits { floor: 1.3 * grade, ..FREE }, 1.3);
             let (outcome, place) =
                 plan_grown_insertion(&mut complex, (tet, spare), limits, &BiasedSine, &mut scratch, &mut flips);
             if outcome != Outcome::Accepted {
@@ -383,15 +395,17 @@ mod tests {
     #[test]
     fn grown_polyhedra_keep_the_distance_asked_for() {
         let mesh = random_mesh(300);
+        let sizes: Vec<f64> = (0..300).map(|v| if v % 2 == 0 { 0.1 } else { 0.3 }).collect();
         let bad = mesh.finite_tets().filter(|&tet| BiasedSine.grade(mesh.points_of(tet)) < 0.1);
         let mut accepted = [0, 0];
         for tet in bad {
-            for (number, spacing) in [0.0, 0.08].into_iter().enumerate() {
+            for (number, factor) in [0.0, 0.5].into_iter().enumerate() {
                 let mut complex = mesh.clone();
                 let spare = complex.push_point(DVec3::ZERO).unwrap();
                 let grade = BiasedSine.grade(mesh.points_of(tet));
                 let (mut scratch, mut flips) = (SliverScratch::default(), FlipScratch::default());
-                let limits = InsertionLimits { floor: 1.3 * grade, spacing, every_edge: true };
+                let spacing = Spacing { sizes: &sizes, factor };
+                let limits = InsertionLimits { floor: 1.3 * grade, spacing, size: 0.1, every_edge: true };
                 let (outcome, place) = plan_grown_insertion(
                     &mut complex,
                     (tet, spare),
@@ -403,7 +417,8 @@ mod tests {
                 if outcome == Outcome::Accepted {
                     accepted[number] += 1;
                     let around = flips.plan.new.iter().flatten().filter(|v| **v != spare);
-                    assert!(around.map(|v| mesh.point(*v).distance(place)).all(|distance| distance >= spacing));
+                    let asked = |v: VertexId| 0.5 * factor * (0.1 + sizes[v.index()]);
+                    assert!(around.into_iter().all(|v| mesh.point(*v).distance(place) >= asked(*v)));
                 }
             }
         }

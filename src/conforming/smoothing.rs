@@ -25,6 +25,7 @@ use glam::DVec3;
 
 use super::flip_criteria::{TetMeasure, strict};
 use super::flips::{Outcome, touches_constraint};
+use super::spacing::Spacing;
 use crate::geometry::predicates::orient3d;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_FACES;
@@ -129,11 +130,6 @@ impl Star {
     #[inline]
     pub fn is_visible_from(&self, point: DVec3) -> bool {
         self.faces.iter().all(|&[a, b, c]| orient3d(a, b, c, point) > 0.0)
-    }
-
-    /// Whether no corner of the faces is closer to `point` than `spacing`.
-    pub fn keeps_distance(&self, point: DVec3, spacing: f64) -> bool {
-        spacing <= 0.0 || self.faces.iter().flatten().all(|corner| corner.distance_squared(point) >= spacing * spacing)
     }
 
     fn target(&self, target: Target, at: DVec3) -> DVec3 {
@@ -285,6 +281,18 @@ impl Smoother {
         }
     }
 
+    /// Whether the vertex whose ball is held keeps its distances at `place`, or comes no closer to those it does not.
+    fn may_move<S: TetStore + ?Sized>(&self, store: &S, vertex: VertexId, place: DVec3, spacing: Spacing<'_>) -> bool {
+        let at = store.point(vertex);
+        let size = spacing.size_of(vertex);
+        let keeps = |other: VertexId| {
+            let point = store.point(other);
+            let distance = point.distance_squared(place);
+            other == vertex || spacing.holds(size, other, distance) || distance >= point.distance_squared(at)
+        };
+        spacing.is_free() || self.ball.iter().all(|&tet| store.vertices(tet).into_iter().all(keeps))
+    }
+
     /// Moves a vertex towards its target.
     pub fn smooth<S: TetStore + ?Sized, M: TetMeasure>(
         &mut self,
@@ -292,6 +300,7 @@ impl Smoother {
         vertex: VertexId,
         measure: &M,
         rule: &SmoothingRule,
+        spacing: Spacing<'_>,
     ) -> Outcome {
         let outcome = self.gather(store, vertex, measure);
         if outcome != Outcome::Accepted {
@@ -311,7 +320,8 @@ impl Smoother {
             let mut share = rule.coefficient;
             for _ in 0..HALVINGS {
                 let trial = at + share * (goal - at);
-                if self.star.grade(measure, trial, bound) > bound && self.star.is_visible_from(trial) {
+                let is_better = self.star.grade(measure, trial, bound) > bound;
+                if is_better && self.may_move(store, vertex, trial, spacing) && self.star.is_visible_from(trial) {
                     self.move_to(store, vertex, trial);
                     return Outcome::Accepted;
                 }
@@ -327,6 +337,7 @@ impl Smoother {
         store: &mut S,
         vertex: VertexId,
         measure: &M,
+        spacing: Spacing<'_>,
     ) -> Outcome {
         let outcome = self.gather(store, vertex, measure);
         if outcome != Outcome::Accepted {
@@ -335,7 +346,8 @@ impl Smoother {
         let at = store.point(vertex);
         let before = self.star.strict_grade(measure, at, f64::NEG_INFINITY);
         let (place, after) = self.star.search(measure, at);
-        if after > before * (1.0 + 1e-6) && self.star.is_visible_from(place) {
+        let is_better = after > before * (1.0 + 1e-6);
+        if is_better && self.may_move(store, vertex, place, spacing) && self.star.is_visible_from(place) {
             self.move_to(store, vertex, place);
             Outcome::Accepted
         } else {

@@ -93,7 +93,7 @@ fn smart_smoothing_never_lowers_the_worst_tet() {
     let rule = SmoothingRule { target: Target::OptimalPlacement, coefficient: 0.5, acceptance: Acceptance::Smart };
     let vertices: Vec<VertexId> = (0..complex.vertex_count()).map(VertexId::from_index).collect();
     let outside: Vec<DVec3> = complex.points().to_vec();
-    driver.smooth(&mut complex, vertices, &on_boundary, &rule, 0.5).unwrap();
+    driver.smooth(&mut complex, vertices, (&on_boundary, &[]), &rule, 0.5).unwrap();
     assert!(worst(&complex) > before);
     let moved = |v: usize| complex.points()[v] != outside[v];
     assert!((0..outside.len()).all(|v| !on_boundary[v] || !moved(v)) && (0..outside.len()).any(moved));
@@ -140,4 +140,22 @@ fn short_edges_collapse() {
     driver.collapse_small_edges(&mut complex, &sizes, 0.25, &|_| true).unwrap();
     assert!(complex.live_count() < live);
     check(&complex, 64.0);
+}
+
+#[test]
+fn smoothing_brings_no_vertices_closer_than_their_sizes_allow() {
+    let context = RunContext::with_threads(1).unwrap();
+    let moved_with = |size: f64| {
+        let mut driver = Driver::for_quality(&Options::default(), &context);
+        let mut complex = shaken_grid(5, 0.2);
+        let on_boundary = boundary_vertices(&complex);
+        let before = complex.points().to_vec();
+        let sizes = vec![size; before.len()];
+        let rule = SmoothingRule { target: Target::OptimalPlacement, coefficient: 0.5, acceptance: Acceptance::Smart };
+        let vertices: Vec<VertexId> = (0..before.len()).map(VertexId::from_index).collect();
+        driver.smooth(&mut complex, vertices, (&on_boundary, &sizes), &rule, 0.5).unwrap();
+        before.iter().zip(complex.points()).filter(|(old, new)| old != new).count()
+    };
+    let (free, held) = (moved_with(1.0), moved_with(4.0));
+    assert!(free > 10 && held < free / 4, "{free} and {held} of 64");
 }

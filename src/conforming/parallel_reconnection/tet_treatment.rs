@@ -9,16 +9,17 @@
 //!
 //! # Differences
 //! Without these limits, tets whose bad angles the surface forces draw point after point, each making the worst tet a
-//! little better, until thin places are full of small tets off the boundary that nothing forces to be bad. On surfaces with
-//! needles everywhere, points keep their distance unless a tet is nearly flat ([`Crowding`]).
+//! little better, until thin places are full of small tets off the boundary that nothing forces to be bad. Points keep the
+//! distance that the size field asks for unless a tet is nearly flat ([`Crowding`]).
 //!
 //! # Invariants
 //! No operation lowers the worst tet of what it touches; tets off the boundary are graded strictly
 //! ([`super::super::flip_criteria::strict`]).
 
-use super::super::flip_criteria::{BiasedSine, StrictInside, TetMeasure};
+use super::super::flip_criteria::{BiasedSine, STRICT_ANGLE, StrictInside, TetMeasure};
 use super::super::flips::{Accept, Outcome, plan_edge_removal, plan_face_removal, plan_vertex_removal};
 use super::super::sliver_removal::{InsertionLimits, plan_grown_insertion, plan_sliver_insertion};
+use super::super::spacing::Spacing;
 use super::{Job, Kit};
 use crate::error::Result;
 use crate::index::{TetFace, TetId, VertexId};
@@ -29,21 +30,21 @@ use crate::mesh::topology::ShellTet;
 use crate::parallel::speculative::Attempt;
 
 /// A tet with a smaller angle, degrees, is nearly flat: a point is inserted wherever it helps by the factor of [`GAIN`].
-const FLAT_BELOW: f64 = 4.0;
+/// Half a degree more than a sliver has.
+pub const FLAT_BELOW: f64 = 2.5;
+/// The same where points may crowd.
+const POOR_BELOW: f64 = 4.0;
 /// A tet with a smaller angle, degrees, gets a point where every new tet reaches that angle; or one in a polyhedron grown
 /// around it, where that helps by the factor of [`GAIN`].
 const BAD_BELOW: f64 = 10.0;
 /// Factor by which a point must better the worst tet that goes where it need not reach an angle: a tet of 4 degrees is at
 /// 10 after at most four of them, so that thin places do not fill with points for the sake of little.
 const GAIN: f64 = 1.3;
-/// Tets above this share of all with an angle below [`BAD_BELOW`] come from needles all over the surface. Points that
-/// crowd around each of them would make most edges of the mesh shorter than wanted; around few, nobody notices.
-const FEW_BAD: f64 = 0.03;
 /// The angle that every new tet of all other insertions reaches, degrees.
 const FLOOR: f64 = 18.0;
-/// Distance that a point keeps from its neighbours where it may not crowd, in shares of their average size: with edges
+/// Distance that vertices keep from their neighbours where they may not crowd, in shares of their average size: with edges
 /// below half the size of the boundary the mesh would no longer follow the size field.
-const SPACING: f64 = 0.5;
+pub(super) const SPACING: f64 = 0.5;
 
 /// Whether points may come closer to others than the sizes want, for the sake of bad tets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,13 +55,10 @@ pub enum Crowding {
     Refused,
 }
 
-impl Crowding {
-    /// Allowed where few tets of the mesh are bad; `bad` holds all that are, and others.
-    pub fn for_mesh(complex: &TetComplex, bad: &[TetId]) -> Self {
-        let limit = BAD_BELOW.to_radians().sin();
-        let count = bad.iter().filter(|&&tet| BiasedSine.grade(complex.points_of(tet)) < limit).count();
-        if count as f64 > FEW_BAD * complex.live_count() as f64 { Self::Refused } else { Self::Allowed }
-    }
+/// How many of `bad` (worst first) are so bad that points may crowd around them.
+pub fn count_of_bad(complex: &TetComplex, bad: &[TetId]) -> usize {
+    let limit = BAD_BELOW.to_radians().sin();
+    bad.partition_point(|&tet| BiasedSine.grade(complex.points_of(tet)) < limit)
 }
 
 /// Which operations bad tets get.
@@ -88,18 +86,30 @@ impl Treatment {
     }
 }
 
-/// What a point inserted for a tet of `grade` must keep to; `size` is the average size of the tet's vertices.
-fn insertion_limits(grade: f64, is_off_boundary: bool, size: f64, crowding: Crowding) -> InsertionLimits {
+/// The grade below which a tet is bad: off the boundary nothing forces it to be.
+fn bad_grade(is_off_boundary: bool) -> f64 {
+    (if is_off_boundary { STRICT_ANGLE } else { BAD_BELOW }).to_radians().sin()
+}
+
+/// What a point of size `size` inserted for a tet of `grade` must keep to.
+fn insertion_limits(
+    grade: f64,
+    is_off_boundary: bool,
+    (size, sizes): (f64, &[f64]),
+    crowding: Crowding,
+) -> InsertionLimits<'_> {
     let grade_at = |degrees: f64| degrees.to_radians().sin();
-    if grade < grade_at(FLAT_BELOW) {
-        InsertionLimits { floor: GAIN * grade, spacing: 0.0, every_edge: true }
-    } else if grade < grade_at(BAD_BELOW) {
-        let spacing = if crowding == Crowding::Allowed { 0.0 } else { SPACING * size };
-        InsertionLimits { floor: grade_at(BAD_BELOW), spacing, every_edge: true }
+    let flat = if crowding == Crowding::Allowed { POOR_BELOW } else { FLAT_BELOW };
+    let spaced = Spacing { sizes, factor: SPACING };
+    let spaced_where_good = if is_off_boundary || crowding == Crowding::Allowed { Spacing::FREE } else { spaced };
+    let (floor, spacing, every_edge) = if grade < grade_at(flat) {
+        (GAIN * grade, Spacing::FREE, true)
+    } else if grade < bad_grade(is_off_boundary) {
+        (grade_at(BAD_BELOW), spaced_where_good, true)
     } else {
-        let spacing = if is_off_boundary { 0.0 } else { SPACING * size };
-        InsertionLimits { floor: grade_at(FLOOR), spacing, every_edge: is_off_boundary }
-    }
+        (grade_at(FLOOR), if is_off_boundary { Spacing::FREE } else { spaced }, is_off_boundary)
+    };
+    InsertionLimits { floor, spacing, size, every_edge }
 }
 
 pub(super) struct TreatJob<'a> {
@@ -151,9 +161,12 @@ impl TreatJob<'_> {
 
     /// Moves each vertex to its best place; whether any moved.
     fn move_vertices<S: TetStore>(&self, store: &mut S, kit: &mut Kit, row: [VertexId; 4]) -> bool {
+        let grade = BiasedSine.grade(store.corners(row));
+        let is_free = self.treatment.crowding == Crowding::Allowed || grade < FLAT_BELOW.to_radians().sin();
+        let spacing = if is_free { Spacing::FREE } else { Spacing { sizes: self.sizes, factor: SPACING } };
         let mut moved = false;
         for vertex in row.into_iter().filter(|v| !self.is_fixed(*v)) {
-            if kit.smoother.optimize(store, vertex, &self.measure()) == Outcome::Accepted {
+            if kit.smoother.optimize(store, vertex, &self.measure(), spacing) == Outcome::Accepted {
                 kit.touched.moved.push(vertex);
                 moved = true;
             }
@@ -186,15 +199,16 @@ impl TreatJob<'_> {
         let known = row.iter().filter_map(|v| self.sizes.get(v.index()).copied());
         let size = known.clone().sum::<f64>() / known.count().max(1) as f64;
         let grade = BiasedSine.grade(store.corners(row));
-        let limits = insertion_limits(grade, self.measure().is_strict(&row), size, self.treatment.crowding);
+        let is_off = self.measure().is_strict(&row);
+        let limits = insertion_limits(grade, is_off, (size, self.sizes), self.treatment.crowding);
         let Kit { slivers, reconnector, .. } = kit;
         let scratch = &mut reconnector.scratch;
         let (mut outcome, mut place) =
             plan_sliver_insertion(store, tet, vertex, limits, &self.measure(), slivers, scratch);
-        let is_bad = grade < BAD_BELOW.to_radians().sin();
+        let is_bad = grade < bad_grade(is_off);
         if is_bad && !matches!(outcome, Outcome::Accepted | Outcome::ClaimLost) {
             store.release_claims();
-            let limits = InsertionLimits { floor: GAIN * grade, ..limits };
+            let limits = InsertionLimits { floor: limits.floor.min(GAIN * grade), ..limits };
             (outcome, place) =
                 plan_grown_insertion(store, (tet, vertex), (limits, GAIN), &self.measure(), slivers, scratch);
         }
@@ -250,43 +264,26 @@ impl Job for TreatJob<'_> {
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
-
     use super::*;
-    use crate::index::Label;
 
     #[test]
     fn the_better_the_tet_the_more_is_asked_of_a_point() {
         let sine = |degrees: f64| degrees.to_radians().sin();
-        let limits = |degrees, off, crowding| insertion_limits(sine(degrees), off, 2.0, crowding);
+        let limits = |degrees, off, crowding| insertion_limits(sine(degrees), off, (2.0, &[]), crowding);
         for crowding in [Crowding::Allowed, Crowding::Refused] {
+            let is_allowed = crowding == Crowding::Allowed;
             let flat = limits(1.0, false, crowding);
-            assert_eq!((flat.floor, flat.spacing), (GAIN * sine(1.0), 0.0));
+            assert!(flat.floor == GAIN * sine(1.0) && flat.spacing.is_free());
+            let poor = limits(3.0, false, crowding);
+            assert_eq!(poor.floor, if is_allowed { GAIN * sine(3.0) } else { sine(10.0) });
             let bad = limits(7.0, false, crowding);
-            let spacing = if crowding == Crowding::Allowed { 0.0 } else { 1.0 };
-            assert_eq!((bad.floor, bad.spacing), (sine(10.0), spacing));
+            assert!(bad.floor == sine(10.0) && bad.spacing.is_free() == is_allowed);
             let beside = limits(12.0, false, crowding);
-            assert_eq!((beside.floor, beside.spacing), (sine(18.0), 1.0));
+            assert!(beside.floor == sine(18.0) && !beside.spacing.is_free() && beside.size == 2.0);
             let off = limits(12.0, true, crowding);
-            assert_eq!((off.floor, off.spacing), (sine(18.0), 0.0));
-        }
-    }
-
-    #[test]
-    fn points_crowd_around_few_bad_tets_only() {
-        // Flat tets beside each other on a strip, one bad one among good ones, and all of them bad.
-        for (bad, expected) in [(1, Crowding::Allowed), (300, Crowding::Refused)] {
-            let mut complex = TetComplex::with_points(Vec::new()).unwrap();
-            let tets: Vec<TetId> = (0..300)
-                .map(|i| {
-                    let height = if i < bad { 0.05 } else { 1.0 };
-                    let base = DVec3::X * (2.0 * f64::from(i));
-                    let corners = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::new(0.3, 0.3, height)];
-                    let row = corners.map(|corner| complex.push_point(base + corner).unwrap());
-                    complex.create_tet(row, Label(1)).unwrap()
-                })
-                .collect();
-            assert_eq!(Crowding::for_mesh(&complex, &tets), expected);
+            assert!(off.floor == sine(10.0) && off.spacing.is_free(), "bad off the boundary");
+            let good = limits(16.0, true, crowding);
+            assert!(good.floor == sine(18.0) && good.spacing.is_free());
         }
     }
 }

@@ -53,7 +53,7 @@ struct Best {
 pub fn plan_grown_insertion<S: TetStore + ?Sized, M: TetMeasure>(
     store: &mut S,
     (tet, vertex): (TetId, VertexId),
-    (limits, gain): (InsertionLimits, f64),
+    (limits, gain): (InsertionLimits<'_>, f64),
     measure: &M,
     scratch: &mut SliverScratch,
     flips: &mut FlipScratch,
@@ -80,7 +80,7 @@ pub fn plan_grown_insertion<S: TetStore + ?Sized, M: TetMeasure>(
         if grade > PROMISING * bound {
             (place, grade) = scratch.star.search(measure, place);
         }
-        if grade > bound && scratch.star.keeps_distance(place, limits.spacing) && scratch.star.is_visible_from(place) {
+        if grade > bound && scratch.keeps_distance(store, place, &limits) && scratch.star.is_visible_from(place) {
             best = Some(Best { count: scratch.cavity.len(), grade, old_grade, place });
             waited = 0;
         } else {
