@@ -179,7 +179,7 @@ const UNEVEN_EDGES: f64 = 4.0;
 const LEAST_CLEARANCE: f64 = 0.5;
 
 /// How far points have to stay from each vertex, before the factor `cdfn`: its size, but at boundary vertices with uneven
-/// edges no more than the narrowest triangle there is wide, or [`LEAST_CLEARANCE`] of its size. `scale` is the multiplier of the distribution function.
+/// edges no more than the narrowest triangle there is wide, or half of its size. `scale` is the multiplier of the distribution function.
 pub fn clearances(points: &[DVec3], triangles: &[[VertexId; 3]], sizes: &[f64], scale: f64) -> Vec<f64> {
     let mut shortest = vec![f64::INFINITY; sizes.len()];
     let mut longest = vec![0.0f64; sizes.len()];
