@@ -29,10 +29,10 @@ use crate::mesh::tet_store::TetStore;
 use crate::mesh::topology::ShellTet;
 use crate::parallel::speculative::Attempt;
 
-/// A tet with a smaller angle, degrees, is nearly flat: a point is inserted wherever it helps by the factor of [`GAIN`].
-/// Half a degree more than a sliver has.
+/// A tet with a smaller angle, degrees, is nearly flat: a point is inserted wherever it helps enough. Half a degree
+/// more than a sliver has.
 pub const FLAT_BELOW: f64 = 2.5;
-/// The same where points may crowd.
+/// The same where points may crowd, degrees.
 const POOR_BELOW: f64 = 4.0;
 /// A tet with a smaller angle, degrees, gets a point where every new tet reaches that angle; or one in a polyhedron grown
 /// around it, where that helps by the factor of [`GAIN`].
