@@ -93,7 +93,7 @@ pub fn face_key(mut face: [VertexId; 3]) -> FaceKey {
 }
 
 /// The keys of the edges of a face key, each with the third vertex.
-fn edges_of_face([a, b, c]: FaceKey) -> [(EdgeKey, VertexId); 3] {
+pub fn edges_of_face([a, b, c]: FaceKey) -> [(EdgeKey, VertexId); 3] {
     [([a, b], c), ([b, c], a), ([a, c], b)]
 }
 

@@ -29,7 +29,7 @@ use super::constrained_mesh::{ConstrainedMesh, EdgeKey, edge_key};
 use super::edge_recovery::{fill_with_edge, recover_edge};
 use super::face_recovery::parts_of_front;
 use super::partition_elimination::kernel_point;
-use super::steiner_points::insert_on_segment;
+use super::steiner_points::{insert_in_sight, insert_on_segment};
 use super::steiner_removal::{remove_vertex, thin_ball};
 use crate::context::RunContext;
 use crate::error::Result;
@@ -66,6 +66,14 @@ pub fn bridge_edge(
     context: &RunContext,
 ) -> Result<Bridge> {
     bridge(mesh, edge, DEPTH, effort, volume, context)
+}
+
+/// Splits the edge where its parts have most chance to be edges, after [`bridge_edge`] split it in vain.
+///
+/// # Errors
+/// As [`bridge_edge`].
+pub fn split_in_sight(mesh: &mut ConstrainedMesh, edge: EdgeKey) -> Result<Bridge> {
+    Ok(insert_in_sight(mesh, edge)?.map_or(Bridge::Missing, Bridge::Split))
 }
 
 fn bridge(

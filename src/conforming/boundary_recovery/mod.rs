@@ -6,7 +6,9 @@
 //! 2. Edges that constraints lock get a point between these (`volume_points`), then points beside them
 //!    (`edge_bridging`); where that fails they are split.
 //! 3. Missing faces are recovered by local reconnections; those that resist are split (`steiner_points`).
-//! 4. The Steiner points are taken off the surface again (`partition_elimination`), into the volume where need be.
+//! 4. The Steiner points are taken off the surface again (`partition_elimination`), into the volume where need be. Where
+//!    one resists, its split is taken back as a constraint, the point becomes one of the volume, and 1 to 4 are repeated
+//!    for what is missing now: all that was eliminated meanwhile has changed what stood in the way.
 //! 5. Those in the volume are removed as far as possible (`steiner_removal`).
 //!
 //! # Source
@@ -140,6 +142,12 @@ const MOST_TURNS: usize = 8;
 /// Passes in a row without an edge recovered, after which deeper ones are not tried.
 const MOST_FRUITLESS: usize = 2;
 
+/// Rounds of splits before the next ones go where they see the ends of their edge.
+const ROUNDS_OUT_OF_SIGHT: usize = 2;
+
+/// Times that splits which resist are taken back and recovered once more.
+const MOST_WITHDRAWALS: usize = 8;
+
 /// Splits of one edge or face beyond which recovery gives up.
 const MOST_ROUNDS: usize = 60;
 
@@ -186,13 +194,14 @@ pub fn restore_surface(
     report: &mut RecoveryReport,
 ) -> Result<Vec<VertexId>> {
     let start = Instant::now();
-    let mut volume = std::mem::take(&mut mesh.volume_points);
     if options.boundary_recovery == RecoveryMode::Full {
-        let mut left = mesh.splits.len();
-        for effort in &efforts(options)[1..] {
-            if left > 0 {
-                left = partition_elimination::eliminate_partitions(mesh, &mut volume, effort, context)?;
+        let mut left = eliminate(mesh, options, context)?;
+        for _ in 0..MOST_WITHDRAWALS {
+            if left == 0 {
+                break;
             }
+            withdraw_splits(mesh, options, context)?;
+            left = eliminate(mesh, options, context)?;
         }
         if left > 0 {
             let places: Vec<DVec3> = mesh.splits.iter().map(|(v, _)| mesh.at(*v)).collect();
@@ -200,7 +209,40 @@ pub fn restore_surface(
         }
     }
     report.seconds[2] = start.elapsed().as_secs_f64();
-    Ok(volume)
+    Ok(std::mem::take(&mut mesh.volume_points))
+}
+
+/// Undoes the splits that can be undone; returns the number left.
+fn eliminate(mesh: &mut ConstrainedMesh, options: &Options, context: &RunContext) -> Result<usize> {
+    let mut left = mesh.splits.len();
+    let mut volume = std::mem::take(&mut mesh.volume_points);
+    for effort in &efforts(options)[1..] {
+        if left > 0 {
+            left = partition_elimination::eliminate_partitions(mesh, &mut volume, effort, context)?;
+        }
+    }
+    mesh.volume_points = volume;
+    Ok(left)
+}
+
+/// Takes the splits that resist back as constraints, and recovers the whole edges and facets once more: what is around
+/// them has changed since, by all that was eliminated, and their points are out of the way.
+fn withdraw_splits(mesh: &mut ConstrainedMesh, options: &Options, context: &RunContext) -> Result<()> {
+    let (efforts, edge_efforts) = (efforts(options), edge_efforts(options));
+    let mut edges = Vec::new();
+    while let Some((steiner, split)) = mesh.splits.pop() {
+        edges.extend(partition_elimination::withdraw(mesh, steiner, &split));
+        if !steiner_removal::remove_vertex(mesh, steiner, &efforts[2])? {
+            steiner_removal::center(mesh, steiner);
+            mesh.volume_points.push(steiner);
+        }
+    }
+    edges.sort_unstable();
+    edges.dedup();
+    edges.retain(|e| mesh.is_segment(e[0], e[1]) && !mesh.has_edge(e[0], e[1]));
+    recover_all_edges(mesh, edges, (&edge_efforts, &efforts), context)?;
+    let missing = mesh.missing_subfaces();
+    recover_all_faces(mesh, missing, (&edge_efforts, &efforts), context)
 }
 
 /// Removes Steiner points in the volume; returns those that stay.
@@ -230,7 +272,7 @@ fn recover_all_edges(
     (edge_efforts, efforts): (&[Effort], &[Effort]),
     context: &RunContext,
 ) -> Result<()> {
-    for _ in 0..MOST_ROUNDS {
+    for round in 0..MOST_ROUNDS {
         let mut fruitless = 0;
         for effort in edge_efforts.iter().chain(efforts.last()) {
             if missing.is_empty() {
@@ -252,10 +294,18 @@ fn recover_all_edges(
             if !mesh.is_segment(edge[0], edge[1]) {
                 continue; // split together with a neighbour
             }
-            let mut volume = std::mem::take(&mut mesh.volume_points);
-            let bridged = edge_bridging::bridge_edge(mesh, edge, &efforts[2], &mut volume, context);
-            mesh.volume_points = volume;
-            match bridged? {
+            // Parts that stay missing however short they get have to come into sight of their ends.
+            let mut bridged = Bridge::Missing;
+            if round >= ROUNDS_OUT_OF_SIGHT {
+                bridged = edge_bridging::split_in_sight(mesh, edge)?;
+            }
+            if bridged == Bridge::Missing {
+                let mut volume = std::mem::take(&mut mesh.volume_points);
+                let found = edge_bridging::bridge_edge(mesh, edge, &efforts[2], &mut volume, context);
+                mesh.volume_points = volume;
+                bridged = found?;
+            }
+            match bridged {
                 Bridge::Present => {}
                 Bridge::Missing => next.push(edge),
                 Bridge::Split(steiner) => {
@@ -320,4 +370,50 @@ fn not_recovered(places: Vec<DVec3>, text: &str) -> Error {
         |p: &DVec3| Finding::new(FindingCode::NotRecovered, Severity::Error, format!("{text} at {p}")).at(p.to_array());
     let findings: Vec<Finding> = places.iter().map(finding).collect();
     Error::NoResult { message: format!("{text} ({} places)", findings.len()), findings }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, tetrahedralize};
+    use crate::conforming::enclosure::enclosing_corners;
+    use crate::conforming::test_surfaces::cube;
+    use crate::mesh::tet_store::TetStore;
+
+    #[test]
+    fn a_split_that_is_taken_back_is_whole_again() {
+        let surface = cube(3);
+        let mut points = surface.points.clone();
+        points.extend(enclosing_corners(&surface.points));
+        let context = RunContext::with_threads(1).unwrap();
+        let options = DelaunayOptions { order: PointOrder::Input, ..Default::default() };
+        let complex = tetrahedralize(&points, &options, &context).unwrap().complex;
+        let options = Options::default();
+        let mut report = RecoveryReport::default();
+        let mut mesh = recover(complex, &surface.facets, &options, &context, &mut report).unwrap();
+        assert!(mesh.splits.is_empty());
+        let constraints = (mesh.subfaces.clone(), mesh.wings.len());
+        // Two splits, the second of a part of the first.
+        for _ in 0..2 {
+            let last = mesh.splits.last().map(|(v, _)| *v);
+            let mut edges: Vec<EdgeKey> = mesh.wings.keys().copied().collect();
+            edges.sort_unstable();
+            let edge = *edges.iter().find(|e| last.is_none_or(|v| e.contains(&v))).unwrap();
+            let at = |v: VertexId| mesh.at(v);
+            let steiner = mesh.complex.push_point(0.5 * (at(edge[0]) + at(edge[1]))).unwrap();
+            let mut shell = mesh.ball(edge[0]);
+            shell.retain(|&tet| mesh.complex.local_vertex(tet, edge[1]).is_some());
+            let front = mesh.shape_of(&shell).front;
+            let new: Vec<[VertexId; 4]> = front.iter().map(|&[a, b, c]| [a, b, c, steiner]).collect();
+            assert!(mesh.replace(&shell, &new).unwrap());
+            mesh.split_segment(edge, steiner);
+            assert!(mesh.missing_subfaces().is_empty());
+        }
+        withdraw_splits(&mut mesh, &options, &context).unwrap();
+        assert!(mesh.splits.is_empty() && mesh.missing_segments().is_empty() && mesh.missing_subfaces().is_empty());
+        assert_eq!(constraints.0.keys().filter(|key| !mesh.subfaces.contains_key(*key)).count(), 0);
+        assert_eq!((constraints.0.len(), constraints.1), (mesh.subfaces.len(), mesh.wings.len()));
+        mesh.complex.check_invariants().unwrap();
+        assert!(mesh.complex.finite_tets().all(|tet| mesh.complex.is_positive(tet)));
+    }
 }

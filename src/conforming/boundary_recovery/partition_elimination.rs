@@ -33,7 +33,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::Effort;
 use super::cavity_filling::fill_cavity;
-use super::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey, Split, edge_key, face_key};
+use super::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey, Split, edge_key, edges_of_face, face_key};
 use super::edge_removal::{Journal, remove_edge, ring_of};
 use super::steiner_removal::{center, thin_ball};
 use super::volume_points::closest_points;
@@ -318,15 +318,25 @@ fn undo(mesh: &mut ConstrainedMesh, steiner: VertexId, split: &Split, volume: &m
     }
     mesh.complex.set_tet_of(steiner, TetId::NONE);
     volume.extend(added);
+    withdraw(mesh, steiner, split);
+    Ok(true)
+}
+
+/// Makes the whole faces of a split constraints again instead of its parts; the edges of the whole faces.
+pub fn withdraw(mesh: &mut ConstrainedMesh, steiner: VertexId, split: &Split) -> Vec<EdgeKey> {
+    let parts = parts_of(steiner, split);
     for (part, _, _) in &parts {
         mesh.remove_subface(*part);
     }
+    let mut edges = Vec::new();
     for (_, face, facet) in parts {
-        if !mesh.subfaces.contains_key(&face_key(face)) {
-            mesh.add_subface(face_key(face), facet);
+        let key = face_key(face);
+        if !mesh.subfaces.contains_key(&key) {
+            mesh.add_subface(key, facet);
         }
+        edges.extend(edges_of_face(key).map(|(edge, _)| edge));
     }
-    Ok(true)
+    edges
 }
 
 /// The vertices of `old` that no tet of `new` has: their balls lie in `old`.
