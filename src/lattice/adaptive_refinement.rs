@@ -5,7 +5,9 @@
 //! 2. Where labels lack fidelity or components are lost, mark leaves and refine ([`super::subdivision_criteria`]).
 //! 3. Otherwise relabel the candidate mesh ([`super::element_labels`]) and count again; refine where that costs the
 //!    fidelity. At the finest level the relabelling spares what a label needs instead.
-//! 4. Where surfaces are smoothed or checked, pinches are relabelled ([`super::interface_topology`]) and what still pinches
+//! 4. Where surfaces are smoothed, leaves with voxels that smoothing cannot reach are refined ([`super::missed_voxels`]), the
+//!    lattice closed locally around them.
+//! 5. Where surfaces are smoothed or checked, pinches are relabelled ([`super::interface_topology`]) and what still pinches
 //!    is carved ([`super::interface_carving`]), with the check after a few rounds of refinement there and where a label
 //!    is broken ([`super::region_gaps`]).
 //!
@@ -28,6 +30,7 @@ use crate::lattice::face_adjacency::neighbors_of;
 use crate::lattice::interface_carving::carve;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::mesh_regions::{joinable_regions, regions_of, relabel_loose_regions, surplus_of};
+use crate::lattice::missed_voxels::mark_missed_voxels;
 use crate::lattice::mixed_elements::{self, SurfaceCount};
 use crate::lattice::options::Options;
 use crate::lattice::progress_shares;
@@ -40,6 +43,9 @@ use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, count_voxels, mismatc
 /// Rounds of refinement for the sake of topology: a pinch that comes from the image's own shape is gone after two or three
 /// (edges of 4 voxels become half a voxel), one that the lattice makes anew each time never goes.
 const TOPOLOGY_ROUNDS: u32 = 3;
+
+/// Rounds of refinement for missed voxels: the first reaches nearly all, what the second adds is missed by its labels.
+const MISSED_ROUNDS: u32 = 2;
 
 /// Rounds of carving: a group that may not be filled at first can be once another one has joined or parted its pieces.
 const CARVING_ROUNDS: u32 = 3;
@@ -123,6 +129,7 @@ impl Rounds<'_> {
     fn run(&mut self, lattice: &mut RedGreenLattice) -> Result<Elements> {
         let finest = finest_level(lattice, self.input.image);
         let mut topology_rounds = TOPOLOGY_ROUNDS;
+        let mut missed_rounds = if self.smooths { MISSED_ROUNDS } else { 0 };
         for round in 0.. {
             let reached = f64::from(round) / (f64::from(round) + 4.0);
             let end = if self.smooths { progress_shares::REFINED } else { progress_shares::REFINED_ONLY };
@@ -147,6 +154,14 @@ impl Rounds<'_> {
                     }
                 }
                 deficit = self.deficit(&found);
+                if missed_rounds > 0 && !marked.contains(&true) {
+                    missed_rounds -= 1;
+                    let targets = self.input.targets;
+                    marked = self.report.timed("marking", || mark_missed_voxels(lattice, &elements, targets));
+                    if marked.contains(&true) {
+                        lattice.close_locally();
+                    }
+                }
                 if !marked.contains(&true) {
                     if self.input.region_threshold.is_some() {
                         let limit = RefinementLimit { finest, rounds_left: topology_rounds };

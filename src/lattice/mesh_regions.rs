@@ -99,37 +99,25 @@ pub fn relabel_loose_regions(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::context::RunContext;
-    use crate::image::distance_transform::distance_to_other_labels;
-    use crate::image::grid::Grid;
     use crate::image::label_image::LabelImage;
-    use crate::lattice::bcc_lattice::{Field, LatticeFrame};
     use crate::lattice::face_adjacency::neighbors_of;
-    use glam::{DMat3, DVec3};
+    use crate::lattice::test_images::{voxel_image, with_lattice};
+    use glam::DVec3;
 
     /// A ball and, apart from it, a small cube of the same label.
     fn ball_and_speck() -> LabelImage {
-        const N: usize = 20;
-        let grid = Grid::new([N; 3], DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).unwrap();
-        let label = |i: usize| {
-            let p = DVec3::new((i % N) as f64, (i / N % N) as f64, (i / N / N) as f64);
-            let in_speck = (p - DVec3::splat(16.5)).abs().max_element() < 1.6;
-            Label(u16::from(in_speck || p.distance(DVec3::splat(7.2)) < 5.5))
-        };
-        LabelImage::new(grid, (0..N * N * N).map(label).collect(), vec![0, 1]).unwrap()
+        let in_speck = |p: DVec3| (p - DVec3::splat(16.5)).abs().max_element() < 1.6;
+        voxel_image(20, |p| u16::from(in_speck(p) || p.distance(DVec3::splat(7.2)) < 5.5))
     }
 
     /// Regions left when those below a share of the label become what is around them.
     fn regions_left(threshold: f64) -> usize {
-        let image = ball_and_speck();
-        let context = RunContext::with_threads(1).unwrap();
-        let distance = distance_to_other_labels(&image, &context).unwrap();
-        let frame = LatticeFrame::new(&image, 1.5).unwrap();
-        let lattice = RedGreenLattice::new(frame, Field::new(&image, &distance), 1 << 22, &context).unwrap();
-        let mut elements = lattice.elements(&context).unwrap();
-        let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap();
-        relabel_loose_regions(&lattice, &mut elements, &neighbors, 2, threshold);
-        regions_of(&elements.labels, &neighbors).len()
+        with_lattice(&ball_and_speck(), 1.5, |lattice, context| {
+            let mut elements = lattice.elements(context).unwrap();
+            let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap();
+            relabel_loose_regions(&lattice, &mut elements, &neighbors, 2, threshold);
+            regions_of(&elements.labels, &neighbors).len()
+        })
     }
 
     #[test]

@@ -39,6 +39,7 @@ pub mod local_transformations;
 pub mod local_undo;
 pub mod loose_pieces;
 pub mod mesh_regions;
+pub mod missed_voxels;
 pub mod mixed_elements;
 #[cfg(test)]
 mod option_effects_tests;

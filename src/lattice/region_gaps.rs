@@ -126,26 +126,27 @@ mod tests {
     use super::*;
     use crate::context::RunContext;
     use crate::image::connected_components::{Components, Connectivity, Members};
-    use crate::image::distance_transform::distance_to_other_labels;
-    use crate::lattice::bcc_lattice::{Field, LatticeFrame};
+    use crate::image::label_image::LabelImage;
     use crate::lattice::face_adjacency::neighbors_of;
     use crate::lattice::mesh_regions::{joinable_regions, regions_of, surplus_of};
-    use crate::lattice::test_images::voxel_image;
+    use crate::lattice::test_images::{voxel_image, with_lattice};
     use glam::DVec3;
+
+    const LEFT: DVec3 = DVec3::new(10.0, 15.2, 15.1);
+    const RIGHT: DVec3 = DVec3::new(30.0, 15.2, 15.1);
 
     #[test]
     fn a_bridge_that_the_mesh_has_lost_is_found_and_nothing_else_is_marked() {
         // Two balls and a bridge of one voxel between them, around which the elements are too large.
-        let (left, right) = (DVec3::new(10.0, 15.2, 15.1), DVec3::new(30.0, 15.2, 15.1));
         let image = voxel_image(40, |p| {
             let on_bridge = p.y == 15.0 && p.z == 15.0 && (10.0..30.0).contains(&p.x);
-            u16::from(on_bridge || p.distance(left).min(p.distance(right)) < 6.5)
+            u16::from(on_bridge || p.distance(LEFT).min(p.distance(RIGHT)) < 6.5)
         });
-        let context = RunContext::with_threads(1).unwrap();
-        let distance = distance_to_other_labels(&image, &context).unwrap();
-        let frame = LatticeFrame::new(&image, 4.0).unwrap();
-        let lattice = RedGreenLattice::new(frame, Field::new(&image, &distance), 1 << 22, &context).unwrap();
-        let mut elements = lattice.elements(&context).unwrap();
+        with_lattice(&image, 4.0, |lattice, context| mark_the_bridge(&image, lattice, context));
+    }
+
+    fn mark_the_bridge(image: &LabelImage, lattice: RedGreenLattice, context: &RunContext) {
+        let mut elements = lattice.elements(context).unwrap();
         let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap();
         // Elements around the middle of the bridge lose their label.
         let center = |tet: &[u32; 4]| {
@@ -153,10 +154,10 @@ mod tests {
         };
         for (tet, label) in elements.tets.iter().zip(&mut elements.labels) {
             let center = center(tet);
-            let is_in_ball = center.distance(left).min(center.distance(right)) < 6.5;
+            let is_in_ball = center.distance(LEFT).min(center.distance(RIGHT)) < 6.5;
             *label = Label(u16::from(is_in_ball));
         }
-        let components = Components::new(&image, Connectivity::Face, Members::Foreground);
+        let components = Components::new(image, Connectivity::Face, Members::Foreground);
         let found = regions_of(&elements.labels, &neighbors);
         let surplus = surplus_of(&found, &components, 2);
         assert_eq!(surplus[1], 1);

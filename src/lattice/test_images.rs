@@ -2,9 +2,13 @@
 
 use glam::{DMat3, DVec3};
 
+use crate::context::RunContext;
+use crate::image::distance_transform::distance_to_other_labels;
 use crate::image::grid::Grid;
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
+use crate::lattice::bcc_lattice::{Field, LatticeFrame};
+use crate::lattice::red_green::RedGreenLattice;
 
 /// An image of `n^3` voxels of 1 mm labelled by a function of the voxel centre.
 pub fn voxel_image(n: usize, label: impl Fn(DVec3) -> u16) -> LabelImage {
@@ -19,4 +23,12 @@ pub fn spaced_image(size: [usize; 3], spacing: DVec3, label: impl Fn(DVec3) -> u
     let voxels: Vec<Label> = (0..nx * ny * nz).map(|i| Label(label(at(i)))).collect();
     let labels = i32::from(voxels.iter().map(|l| l.0).max().unwrap());
     LabelImage::new(grid, voxels, (0..=labels).collect()).unwrap()
+}
+
+/// Calls `work` with the coarsest lattice of an image, and a context of one thread.
+pub fn with_lattice<T>(image: &LabelImage, spacing: f64, work: impl FnOnce(RedGreenLattice, &RunContext) -> T) -> T {
+    let context = RunContext::with_threads(1).unwrap();
+    let distance = distance_to_other_labels(image, &context).unwrap();
+    let frame = LatticeFrame::new(image, spacing).unwrap();
+    work(RedGreenLattice::new(frame, Field::new(image, &distance), 1 << 22, &context).unwrap(), &context)
 }
