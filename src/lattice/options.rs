@@ -84,7 +84,7 @@ pub const PARAMETERS: Table = &[
     times(row("min-element-size", "", above(0.0, INF), Default::Unset, "mm", "Lattice",
         "Elements with edges up to twice this length are not refined further for fidelity; can be given per label. Labels and components are kept all the same."), Multiplicity::PerLabel),
     row("surface-tolerance", "", above(0.0, INF), Default::Real(0.8), "voxels", "Lattice",
-        "Elements at boundaries are refined past the fidelity, down to edges of two voxels, where straight elements miss the boundary by more than this many voxels: thin walls, narrow gaps, strong curvature. A large value leaves the fidelity alone to decide, and so does target-vertices where this is not given."),
+        "Elements at boundaries are refined past the fidelity, down to edges of two voxels, where straight elements miss the boundary by more than this many voxels: thin walls, narrow gaps, strong curvature; down to edges of one voxel where smoothing could not reach single voxels. A large value leaves the fidelity alone to decide, and so does target-vertices where this is not given."),
     row("local-closure", "", Kind::Flag, Default::Flag(false), "", "Lattice",
         "Keeps refinement where it is asked for, with 2 to 8 times fewer elements away from boundaries; they meet at up to 120 instead of 117 degrees before smoothing. Otherwise refined places grow together to uniform regions, as in the thesis. With fewer elements a surface-tolerance of 0.25 follows smooth boundaries as closely as uniform regions do."),
     times(row("fixed-point", "", Kind::Text, Default::Unset, "mm", "Lattice",
