@@ -39,6 +39,7 @@ pub mod volume_points;
 use std::time::Instant;
 
 use glam::DVec3;
+use rustc_hash::FxHashSet;
 
 use self::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey};
 use self::edge_bridging::Bridge;
@@ -145,6 +146,9 @@ const MOST_FRUITLESS: usize = 2;
 /// Rounds of splits before the next ones go where they see the ends of their edge.
 const ROUNDS_OUT_OF_SIGHT: usize = 2;
 
+/// Rounds of splits after which they are taken back, and the edges recovered in another order.
+const ROUNDS_OF_SPLITS: usize = 8;
+
 /// Times that splits which resist are taken back and recovered once more.
 const MOST_WITHDRAWALS: usize = 8;
 
@@ -229,17 +233,7 @@ fn eliminate(mesh: &mut ConstrainedMesh, options: &Options, context: &RunContext
 /// them has changed since, by all that was eliminated, and their points are out of the way.
 fn withdraw_splits(mesh: &mut ConstrainedMesh, options: &Options, context: &RunContext) -> Result<()> {
     let (efforts, edge_efforts) = (efforts(options), edge_efforts(options));
-    let mut edges = Vec::new();
-    while let Some((steiner, split)) = mesh.splits.pop() {
-        edges.extend(partition_elimination::withdraw(mesh, steiner, &split));
-        if !steiner_removal::remove_vertex(mesh, steiner, &efforts[2])? {
-            steiner_removal::center(mesh, steiner);
-            mesh.volume_points.push(steiner);
-        }
-    }
-    edges.sort_unstable();
-    edges.dedup();
-    edges.retain(|e| mesh.is_segment(e[0], e[1]) && !mesh.has_edge(e[0], e[1]));
+    let edges = withdraw_from(mesh, 0, &efforts[2])?;
     recover_all_edges(mesh, edges, (&edge_efforts, &efforts), context)?;
     let missing = mesh.missing_subfaces();
     recover_all_faces(mesh, missing, (&edge_efforts, &efforts), context)
@@ -266,13 +260,37 @@ pub fn remove_from_volume(
     Ok(volume)
 }
 
+/// Takes all splits from number `first` on back; returns the edges that are missing then, those split last first.
+fn withdraw_from(mesh: &mut ConstrainedMesh, first: usize, effort: &Effort) -> Result<Vec<EdgeKey>> {
+    let mut edges = Vec::new();
+    while mesh.splits.len() > first
+        && let Some((steiner, split)) = mesh.splits.pop()
+    {
+        edges.extend(partition_elimination::withdraw(mesh, steiner, &split));
+        if !steiner_removal::remove_vertex(mesh, steiner, effort)? {
+            steiner_removal::center(mesh, steiner);
+            mesh.volume_points.push(steiner);
+        }
+    }
+    let mut seen: FxHashSet<EdgeKey> = FxHashSet::default();
+    edges.retain(|e| seen.insert(*e) && mesh.is_segment(e[0], e[1]) && !mesh.has_edge(e[0], e[1]));
+    Ok(edges)
+}
+
 fn recover_all_edges(
     mesh: &mut ConstrainedMesh,
     mut missing: Vec<EdgeKey>,
     (edge_efforts, efforts): (&[Effort], &[Effort]),
     context: &RunContext,
 ) -> Result<()> {
+    let splits = mesh.splits.len();
     for round in 0..MOST_ROUNDS {
+        if round % ROUNDS_OF_SPLITS == ROUNDS_OF_SPLITS - 1 {
+            // Edges that others lock stay missing however often they are split: they come first now.
+            missing.extend(withdraw_from(mesh, splits, &efforts[2])?);
+            let mut seen: FxHashSet<EdgeKey> = FxHashSet::default();
+            missing.retain(|e| mesh.is_segment(e[0], e[1]) && seen.insert(*e));
+        }
         let mut fruitless = 0;
         for effort in edge_efforts.iter().chain(efforts.last()) {
             if missing.is_empty() {
