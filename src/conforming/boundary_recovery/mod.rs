@@ -146,8 +146,8 @@ const MOST_FRUITLESS: usize = 2;
 /// Rounds of splits before the next ones go where they see the ends of their edge.
 const ROUNDS_OUT_OF_SIGHT: usize = 2;
 
-/// Rounds of splits after which they are taken back, and the edges recovered in another order.
-const ROUNDS_OF_SPLITS: usize = 8;
+/// Times that the number of missing edges may grow by splits.
+const MOST_GROWTH: usize = 8;
 
 /// Times that splits which resist are taken back and recovered once more.
 const MOST_WITHDRAWALS: usize = 8;
@@ -283,13 +283,13 @@ fn recover_all_edges(
     (edge_efforts, efforts): (&[Effort], &[Effort]),
     context: &RunContext,
 ) -> Result<()> {
-    let splits = mesh.splits.len();
+    let mut most = usize::MAX;
     for round in 0..MOST_ROUNDS {
-        if round % ROUNDS_OF_SPLITS == ROUNDS_OF_SPLITS - 1 {
-            // Edges that others lock stay missing however often they are split: they come first now.
-            missing.extend(withdraw_from(mesh, splits, &efforts[2])?);
-            let mut seen: FxHashSet<EdgeKey> = FxHashSet::default();
-            missing.retain(|e| mesh.is_segment(e[0], e[1]) && seen.insert(*e));
+        if round == ROUNDS_OUT_OF_SIGHT {
+            most = MOST_GROWTH * (missing.len() + MOST_HARD);
+        }
+        if missing.len() > most {
+            break; // parts as short as rounding lock each other, ever more of them
         }
         let mut fruitless = 0;
         for effort in edge_efforts.iter().chain(efforts.last()) {
