@@ -44,8 +44,9 @@ use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, count_voxels, mismatc
 /// (edges of 4 voxels become half a voxel), one that the lattice makes anew each time never goes.
 const TOPOLOGY_ROUNDS: u32 = 3;
 
-/// Rounds of refinement for missed voxels: the first reaches nearly all, what the second adds is missed by its labels.
-const MISSED_ROUNDS: u32 = 2;
+/// Rounds of refinement for missed voxels: on an atlas of brain lobes a second one takes a tenth more time, for 0.573 instead of
+/// 0.581 voxel from the staircase at 95 % of it.
+const MISSED_ROUNDS: u32 = 1;
 
 /// Rounds of carving: a group that may not be filled at first can be once another one has joined or parted its pieces.
 const CARVING_ROUNDS: u32 = 3;
