@@ -33,8 +33,8 @@ use crate::lattice::voxel_fidelity::for_each_foreign_voxel;
 const RESOLVED_EDGE: f64 = 1.25;
 
 /// A voxel counts where it lies deeper on the wrong side than this, in voxels: on smooth bodies the interpolated distances err by
-/// as much. In two rounds, 0, 0.05, 0.1 make 8.7, 7.2, 6.4 thousand tets of a ball of radius 20 voxels (6.3 without), and leave 0.56, 0.57, 0.60 voxel
-/// from the staircase of a brain atlas at 95 % of it (0.70 without).
+/// as much. In two rounds, 0, 0.05, 0.1 make 8.7, 7.2, 6.4 thousand tets of a ball of radius 20 voxels (6.3 without), and leave
+/// 0.56, 0.57, 0.60 voxel from the staircase of a brain atlas at 95 % of it (0.70 without).
 const LEAST_DEPTH: f64 = 0.05;
 
 /// A tolerance of boundaries past this, in voxels, asks for voxels that lie deeper by the difference only: a large one leaves
