@@ -11,7 +11,7 @@
 //!           ___     _     ___          the chord of a curved boundary has vertices on both sides and is no miss
 //!    label 1   |___| |___|
 //! ```
-//! 3. The leaves of such elements are refined, down to edges of `RESOLVED_EDGE` voxels.
+//! 3. The leaves of such elements are refined, down to edges of `SINGLE_VOXEL_EDGE` voxels.
 //!
 //! # Source
 //! After the two fidelities of [Drakopoulos2017] 2.3.3, which count voxels whatever their depth.
@@ -30,7 +30,7 @@ use crate::lattice::voxel_fidelity::for_each_foreign_voxel;
 
 /// Elements with edges up to this, in voxels, are not refined: one level finer than boundaries are, with room for lattices
 /// whose spacing the caller chose.
-const RESOLVED_EDGE: f64 = 1.25;
+const SINGLE_VOXEL_EDGE: f64 = 1.25;
 
 /// A voxel counts where it lies deeper on the wrong side than this, in voxels: on smooth bodies the interpolated distances err by
 /// as much. In two rounds, 0, 0.05, 0.1 make 8.7, 7.2, 6.4 thousand tets of a ball of radius 20 voxels (6.3 without), and leave
@@ -48,14 +48,10 @@ const CHUNK: usize = 1024;
 pub fn mark_missed_voxels(lattice: &RedGreenLattice, elements: &Elements, targets: &Targets) -> Vec<bool> {
     let voxel = lattice.field.voxel_size();
     let depth = (LEAST_DEPTH + (targets.surface_tolerance - LEAST_TOLERANCE).max(0.0)) * voxel;
-    let edge_of = |e: usize| {
-        let leaf = elements.leaves[e] as usize;
-        lattice.frame.edge_length(u32::from(lattice.levels[leaf]))
-    };
     let misses = |e: &usize| {
-        let edge = edge_of(*e);
+        let edge = lattice.leaf_edge(elements.leaves[*e]);
         let mut any = false;
-        if depth.is_finite() && edge > RESOLVED_EDGE * voxel {
+        if depth.is_finite() && edge > SINGLE_VOXEL_EDGE * voxel {
             let is_refined = |label: Label| edge > 2.0 * targets.min_size[label.index()];
             for_each_foreign_voxel(lattice, &elements.tets[*e], elements.labels[*e], |at, label| {
                 any = any || (is_refined(label) && straight_distance(lattice, &elements.tets[*e], at, label) < -depth);

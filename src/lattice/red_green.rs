@@ -118,6 +118,12 @@ impl<'a> RedGreenLattice<'a> {
         u32::from(self.deepest)
     }
 
+    /// Edge of the cubes that a leaf belongs to, its longest, mm.
+    #[inline]
+    pub fn leaf_edge(&self, leaf: u32) -> f64 {
+        self.frame.edge_length(u32::from(self.levels[leaf as usize]))
+    }
+
     /// Centroid of a tet in the local frame, mm.
     #[inline]
     pub fn centroid(&self, tet: &[u32; 4]) -> DVec3 {
@@ -309,7 +315,7 @@ impl<'a> RedGreenLattice<'a> {
 
     fn push_elements(&self, t: usize, elements: &mut Elements) -> Result<()> {
         let corners = self.tets[t];
-        let edge = self.frame.edge_length(u32::from(self.levels[t]));
+        let edge = self.leaf_edge(t as u32);
         let mut push = |tet: [u32; 4]| {
             elements.tets.push(tet);
             elements.labels.push(self.field.label_of_element(self.centroid(&tet), edge));

@@ -170,10 +170,10 @@ pub fn mark_leaves(
                     || misses_boundary(lattice, tet, *level, targets))
         })
         .collect();
-    let edge_of = |leaf: u32| lattice.frame.edge_length(u32::from(lattice.levels[leaf as usize]));
     for m in mismatches {
         let leaf = elements.leaves[m.element as usize];
-        let needed = |l: Label| deficit.lacking[l.index()] && edge_of(leaf) > 2.0 * targets.min_size[l.index()];
+        let needed =
+            |l: Label| deficit.lacking[l.index()] && lattice.leaf_edge(leaf) > 2.0 * targets.min_size[l.index()];
         let lost = m.component != u32::MAX && deficit.lost.binary_search(&m.component).is_ok();
         if lost || needed(m.element_label) || needed(m.voxel_label) {
             marked[leaf as usize] |= u32::from(lattice.levels[leaf as usize]) < finest;
@@ -182,7 +182,7 @@ pub fn mark_leaves(
     if targets.max_size.iter().any(|s| s.is_finite()) {
         for (leaf, label) in elements.leaves.iter().zip(&elements.labels) {
             // The size is the caller's own limit, so it may go past the voxels.
-            marked[*leaf as usize] |= edge_of(*leaf) > targets.max_size[label.index()];
+            marked[*leaf as usize] |= lattice.leaf_edge(*leaf) > targets.max_size[label.index()];
         }
     }
     marked

@@ -97,7 +97,7 @@ impl Ring {
     }
 }
 
-/// The ring of an edge, looked for in the tets `hints` first; `None` where the edge does not exist, lies on the hull or
+/// The ring of an edge, looked for in the tet `hint` first; `None` where the edge does not exist, lies on the hull or
 /// has more than `limit` tets.
 pub fn ring_of(mesh: &ConstrainedMesh, edge: [VertexId; 2], hint: TetId, limit: usize) -> Option<Ring> {
     let mut ring = Ring::default();

@@ -233,7 +233,17 @@ fn eliminate(mesh: &mut ConstrainedMesh, options: &Options, context: &RunContext
 /// them has changed since, by all that was eliminated, and their points are out of the way.
 fn withdraw_splits(mesh: &mut ConstrainedMesh, options: &Options, context: &RunContext) -> Result<()> {
     let (efforts, edge_efforts) = (efforts(options), edge_efforts(options));
-    let edges = withdraw_from(mesh, 0, &efforts[2])?;
+    let mut edges = Vec::new();
+    // The last first: it may have split a part that an earlier one made.
+    while let Some((steiner, split)) = mesh.splits.pop() {
+        edges.extend(partition_elimination::withdraw(mesh, steiner, &split));
+        if !steiner_removal::remove_vertex(mesh, steiner, &efforts[2])? {
+            steiner_removal::center(mesh, steiner);
+            mesh.volume_points.push(steiner);
+        }
+    }
+    let mut seen: FxHashSet<EdgeKey> = FxHashSet::default();
+    edges.retain(|e| seen.insert(*e) && mesh.is_segment(e[0], e[1]) && !mesh.has_edge(e[0], e[1]));
     recover_all_edges(mesh, edges, (&edge_efforts, &efforts), context)?;
     let missing = mesh.missing_subfaces();
     recover_all_faces(mesh, missing, (&edge_efforts, &efforts), context)
@@ -258,23 +268,6 @@ pub fn remove_from_volume(
     report.reconnections = mesh.reconnections;
     report.cavities = mesh.cavities;
     Ok(volume)
-}
-
-/// Takes all splits from number `first` on back; returns the edges that are missing then, those split last first.
-fn withdraw_from(mesh: &mut ConstrainedMesh, first: usize, effort: &Effort) -> Result<Vec<EdgeKey>> {
-    let mut edges = Vec::new();
-    while mesh.splits.len() > first
-        && let Some((steiner, split)) = mesh.splits.pop()
-    {
-        edges.extend(partition_elimination::withdraw(mesh, steiner, &split));
-        if !steiner_removal::remove_vertex(mesh, steiner, effort)? {
-            steiner_removal::center(mesh, steiner);
-            mesh.volume_points.push(steiner);
-        }
-    }
-    let mut seen: FxHashSet<EdgeKey> = FxHashSet::default();
-    edges.retain(|e| seen.insert(*e) && mesh.is_segment(e[0], e[1]) && !mesh.has_edge(e[0], e[1]));
-    Ok(edges)
 }
 
 fn recover_all_edges(
