@@ -26,7 +26,7 @@ use crate::geometry::tetrahedron::{edge_vectors, exceeds_angle};
 use crate::index::{TetFace, TetId};
 use crate::mesh::numbering::TET_EDGES;
 use crate::mesh::tet_complex::TetComplex;
-use crate::mesh::tet_store::{TetStore, has_ghost};
+use crate::mesh::tet_store::TetStore;
 
 /// The user bit that marks satisfied tets.
 pub const SATISFIED: usize = 0;
@@ -79,21 +79,26 @@ pub fn corner_sizes<S: TetStore + ?Sized>(store: &S, sizes: &[f64], tet: TetId) 
     [sizes[a.index()], sizes[b.index()], sizes[c.index()], sizes[d.index()]]
 }
 
-/// Marks those of `tets` (any, also dead ones) with an edge that is too long; returns the others that are live.
-pub fn settled_of(complex: &mut TetComplex, sizes: &[f64], rule: Satisfaction, tets: &[TetId]) -> Vec<TetId> {
+/// Drops dead tets, ghosts and repetitions from `tets` (slots are used again at once, so most are listed several times);
+/// marks those with an edge that is too long and returns the others.
+pub fn settled_of(complex: &mut TetComplex, sizes: &[f64], rule: Satisfaction, tets: &mut Vec<TetId>) -> Vec<TetId> {
+    tets.retain(|&tet| {
+        let flags = complex.flags(tet);
+        let keep = !flags.is_deleted() && !flags.is_queued() && !complex.is_ghost_tet(tet);
+        if keep {
+            complex.set_flags(tet, flags.with_queued(true));
+        }
+        keep
+    });
     let reader = &*complex;
-    let is_short = |&tet: &TetId| {
-        let row = reader.vertices(tet);
-        let usable = reader.is_live(tet) && !has_ghost(row);
-        usable.then(|| rule.is_short(reader.corners(row), corner_sizes(reader, sizes, tet)))
-    };
-    let short: Vec<Option<bool>> = tets.par_iter().with_min_len(CHUNK).map(is_short).collect();
+    let is_short = |&tet: &TetId| rule.is_short(reader.points_of(tet), corner_sizes(reader, sizes, tet));
+    let short: Vec<bool> = tets.par_iter().with_min_len(CHUNK).map(is_short).collect();
     let mut settled = Vec::new();
     for (&tet, short) in tets.iter().zip(short) {
-        match short {
-            Some(true) => settled.push(tet),
-            Some(false) => complex.set_flags(tet, complex.flags(tet).with_user_bit(UNSETTLED, true)),
-            None => {}
+        let flags = complex.flags(tet).with_queued(false);
+        complex.set_flags(tet, if short { flags } else { flags.with_user_bit(UNSETTLED, true) });
+        if short {
+            settled.push(tet);
         }
     }
     settled

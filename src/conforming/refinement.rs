@@ -137,7 +137,7 @@ pub fn refine(
     let mut driver = Driver::for_refinement(options, context);
     let mut active: Vec<TetId> = complex.finite_tets().collect();
     let satisfaction = Satisfaction::new(options.edge_satisfied_factor, options.satisfied_angle);
-    context.install(|| settled_of(complex, sizes, satisfaction, &active));
+    context.install(|| settled_of(complex, sizes, satisfaction, &mut active));
     let mut unused: Vec<VertexId> = Vec::new();
     let mut clearances = clearances(complex.points(), &boundary_triangles(complex), sizes, options.size_factor);
     let mut total = Round::default();
@@ -415,7 +415,7 @@ fn refine_round(
     };
     let repeats = if options.repeat_reconnection { usize::MAX } else { 1 };
     // Tets that still have a long edge will be replaced by points: the second objective is for those that may stay.
-    let mut settled = context.install(|| settled_of(complex, sizes, satisfaction, &fresh));
+    let mut settled = context.install(|| settled_of(complex, sizes, satisfaction, &mut fresh));
     let known = settled.len();
     driver.reconnect(complex, &mut settled, objective, four, repeats)?;
     round.flips = driver.take_counts();
