@@ -28,7 +28,7 @@
 //! About twenty in-sphere tests and thirty new tets a vertex; no allocation once the buffers have grown.
 
 use glam::DVec3;
-use rustc_hash::{FxHashMap, FxHashSet};
+use rustc_hash::FxHashMap;
 
 use super::flips::Outcome;
 use crate::error::Result;
@@ -37,10 +37,8 @@ use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::{TET_EDGE_BETWEEN, TET_EDGES, TET_FACES};
 use crate::mesh::tet_store::TetStore;
 
-/// Cavities up to this size are searched in a table of fixed size, larger ones in sets that grow.
+/// Borders up to twice this size are glued by search in a list, larger ones by a map.
 const LINEAR: usize = 48;
-/// Slots of that table.
-const SLOTS: usize = 128;
 /// Times that a cavity may grow anew: each turns at least one tet out, in the end all but the first, which is a cavity by
 /// itself. In refinement more than three are rare, but giving up after eight left splits among flat tets to flips that got
 /// stuck, and such places spread from round to round.
@@ -63,9 +61,6 @@ struct BorderFace {
 #[derive(Debug, Clone, Default)]
 pub struct CavityScratch {
     cavity: Vec<TetId>,
-    /// The members of a small cavity by open addressing; the slot of an id is its low bits.
-    slots: Vec<TetId>,
-    members: FxHashSet<TetId>,
     excluded: Vec<TetId>,
     border: Vec<BorderFace>,
     /// Corners of the first tet and the apexes that joined.
@@ -81,38 +76,28 @@ impl CavityScratch {
         self.border.len()
     }
 
-    fn holds(&self, tet: TetId) -> bool {
-        if self.cavity.len() > LINEAR {
-            return self.members.contains(&tet);
-        }
-        let mut at = tet.index() % SLOTS;
-        while self.slots[at] != TetId::NONE {
-            if self.slots[at] == tet {
-                return true;
-            }
-            at = (at + 1) % SLOTS;
-        }
-        false
-    }
-
-    fn add(&mut self, tet: TetId) {
-        self.cavity.push(tet);
-        if self.cavity.len() == LINEAR + 1 {
-            self.members.clear();
-            self.members.extend(self.cavity.iter().copied());
-        } else if self.cavity.len() > LINEAR {
-            self.members.insert(tet);
-        } else {
-            let mut at = tet.index() % SLOTS;
-            while self.slots[at] != TetId::NONE {
-                at = (at + 1) % SLOTS;
-            }
-            self.slots[at] = tet;
-        }
-    }
-
     /// Plans the insertion of `point`, which lies inside `tet`, claimed by the caller.
     pub fn plan<S: TetStore + ?Sized>(&mut self, store: &mut S, tet: TetId, point: DVec3) -> Outcome {
+        self.cavity.clear();
+        let outcome = self.plan_marked(store, tet, point);
+        self.unmark(store);
+        outcome
+    }
+
+    /// Takes the scratch marks of the cavity's tets away.
+    fn unmark<S: TetStore + ?Sized>(&self, store: &mut S) {
+        for &tet in &self.cavity {
+            store.set_flags(tet, store.flags(tet).with_mark(false));
+        }
+    }
+
+    /// Takes a tet in. Whoever looks at its mark holds the vertices of a face of it, so no other thread's mark is seen.
+    fn add<S: TetStore + ?Sized>(&mut self, store: &mut S, tet: TetId) {
+        self.cavity.push(tet);
+        store.set_flags(tet, store.flags(tet).with_mark(true));
+    }
+
+    fn plan_marked<S: TetStore + ?Sized>(&mut self, store: &mut S, tet: TetId, point: DVec3) -> Outcome {
         self.excluded.clear();
         for _ in 0..CORRECTIONS {
             match self.grow(store, tet, point) {
@@ -154,11 +139,10 @@ impl CavityScratch {
     }
 
     fn grow<S: TetStore + ?Sized>(&mut self, store: &mut S, start: TetId, point: DVec3) -> Outcome {
+        self.unmark(store);
         self.cavity.clear();
-        self.slots.clear();
-        self.slots.resize(SLOTS, TetId::NONE);
         self.border.clear();
-        self.add(start);
+        self.add(store, start);
         self.vertices.clear();
         self.vertices.extend(store.vertices(start));
         let label = store.label(start);
@@ -167,24 +151,29 @@ impl CavityScratch {
             let tet = self.cavity[next];
             next += 1;
             let (row, neighbors, flags) = (store.vertices(tet), store.neighbors(tet), store.flags(tet));
+            // Read at once, so that the processor waits for the four of them together.
+            let mut rows = [[VertexId::GHOST; 4]; 4];
+            for (row, side) in rows.iter_mut().zip(neighbors).filter(|(_, side)| *side != TetFace::NONE) {
+                *row = store.vertices(side.tet());
+            }
             for face in 0..4 {
                 let beyond = neighbors[face];
                 let constrained = flags.is_face_constrained(face);
                 if beyond != TetFace::NONE && !constrained {
                     let other = beyond.tet();
-                    if self.holds(other) {
+                    if store.flags(other).is_marked() {
                         continue;
                     }
-                    let apex = store.apex(beyond);
+                    let apex = rows[face][beyond.face()];
                     let joins = !apex.is_ghost()
                         && store.label(other) == label
                         && !self.excluded.contains(&other)
-                        && is_inside(store, other, point);
+                        && is_inside(store, rows[face], point);
                     if joins {
                         if !store.try_claim(apex) {
                             return Outcome::ClaimLost;
                         }
-                        self.add(other);
+                        self.add(store, other);
                         self.vertices.push(apex);
                         continue;
                     }
@@ -203,15 +192,15 @@ impl CavityScratch {
             }
         }
         // A face taken as border before the tet beyond it came in from another side is none.
-        let mut border = std::mem::take(&mut self.border);
-        border.retain(|f| f.constrained || f.beyond == TetFace::NONE || !self.holds(f.beyond.tet()));
-        self.border = border;
+        let is_member = |side: TetFace| store.flags(side.tet()).is_marked();
+        self.border.retain(|f| f.constrained || f.beyond == TetFace::NONE || !is_member(f.beyond));
         Outcome::Accepted
     }
 
     /// Whether every vertex and constrained edge of the cavity is on its border, and no constrained face inside.
     fn keeps_all<S: TetStore + ?Sized>(&mut self, store: &S) -> bool {
-        let wall = |f: &BorderFace| f.constrained && f.beyond != TetFace::NONE && self.holds(f.beyond.tet());
+        let wall =
+            |f: &BorderFace| f.constrained && f.beyond != TetFace::NONE && store.flags(f.beyond.tet()).is_marked();
         if self.border.iter().any(wall) {
             return false;
         }
@@ -317,10 +306,10 @@ impl CavityScratch {
     }
 }
 
-/// Whether `point` lies strictly inside the circumsphere of `tet`.
+/// Whether `point` lies strictly inside the circumsphere of a tet.
 #[inline]
-fn is_inside<S: TetStore + ?Sized>(store: &S, tet: TetId, point: DVec3) -> bool {
-    let [a, b, c, d] = store.points_of(tet);
+fn is_inside<S: TetStore + ?Sized>(store: &S, row: [VertexId; 4], point: DVec3) -> bool {
+    let [a, b, c, d] = store.corners(row);
     insphere(a, b, c, d, point) > 0.0
 }
 

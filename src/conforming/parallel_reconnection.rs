@@ -439,8 +439,8 @@ impl Driver {
     }
 
     /// Inserts vertices in this order, one round after the other, of which `ends` are the ends; returns those that were not
-    /// inserted. `fresh` gains the tets that are new. The cavities of all rounds but the last are so large that threads would
-    /// only stand in each other's way: one thread makes them.
+    /// inserted. `fresh` gains the tets that are new. The cavities of the first rounds are large, but few threads meet in
+    /// them: each works along its own part of the curve.
     ///
     /// # Errors
     /// [`crate::error::Error::Cancelled`], or what the store refuses.
@@ -455,12 +455,7 @@ impl Driver {
         let mut begin = 0;
         for &end in ends {
             let room = TETS_PER_INSERT * (end - begin);
-            let job = InsertJob { clearances, rule };
-            if end == inserts.len() {
-                self.run(complex, &job, inserts[begin..end].to_vec(), room)?;
-            } else {
-                self.run_alone(complex, &job, &inserts[begin..end])?;
-            }
+            self.run(complex, &InsertJob { clearances, rule }, inserts[begin..end].to_vec(), room)?;
             begin = end;
         }
         fresh.append(&mut self.finish_lost(complex, Objective::InSphere, FourFour::Off)?);

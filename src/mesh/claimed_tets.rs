@@ -35,8 +35,8 @@ pub struct ClaimedTets<'a> {
     holder: u32,
     /// Three words a vertex: the bits of the coordinates.
     points: SharedLongs<'a>,
-    vertices: SharedWords<'a>,
-    neighbors: SharedWords<'a>,
+    /// Four words of padding, then four vertices and four neighbours a tet.
+    rows: SharedWords<'a>,
     flags: SharedShorts<'a>,
     labels: SharedShorts<'a>,
     vertex_tet: SharedWords<'a>,
@@ -64,8 +64,7 @@ pub fn with_claims<R>(
     claims.grow_to(complex.points.len());
     let claims = &*claims;
     let points = SharedLongs::new(bytemuck::cast_slice_mut(&mut complex.points));
-    let vertices = SharedWords::new(bytemuck::cast_slice_mut(&mut complex.tet_vertices));
-    let neighbors = SharedWords::new(bytemuck::cast_slice_mut(&mut complex.tet_neighbors));
+    let rows = SharedWords::new(complex.halves.as_flattened_mut());
     let flags = SharedShorts::new(bytemuck::cast_slice_mut(&mut complex.tet_flags));
     let labels = SharedShorts::new(bytemuck::cast_slice_mut(&mut complex.tet_labels));
     let vertex_tet = SharedWords::new(bytemuck::cast_slice_mut(&mut complex.vertex_tet));
@@ -73,8 +72,7 @@ pub fn with_claims<R>(
         .map(|holder| ClaimedTets {
             holder,
             points,
-            vertices,
-            neighbors,
+            rows,
             flags,
             labels,
             vertex_tet,
@@ -87,6 +85,24 @@ pub fn with_claims<R>(
     debug_assert!(claims.is_all_free());
     complex.free_slots = bytemuck::cast_vec(pool.into_free());
     Ok(result)
+}
+
+/// The first word of a tet's vertices.
+#[inline]
+fn vertices_at(tet: TetId) -> usize {
+    8 * tet.index() + 4
+}
+
+/// The first word of a tet's neighbours.
+#[inline]
+fn neighbors_at(tet: TetId) -> usize {
+    8 * tet.index() + 8
+}
+
+/// The word of one neighbour.
+#[inline]
+fn neighbor_at(side: TetFace) -> usize {
+    neighbors_at(side.tet()) + side.face()
 }
 
 impl TetStore for ClaimedTets<'_> {
@@ -108,19 +124,19 @@ impl TetStore for ClaimedTets<'_> {
 
     #[inline]
     fn vertices(&self, tet: TetId) -> [VertexId; 4] {
-        let [a, b, c, d] = self.vertices.load_row::<4>(4 * tet.index());
+        let [a, b, c, d] = self.rows.load_row::<4>(vertices_at(tet));
         [VertexId(a), VertexId(b), VertexId(c), VertexId(d)]
     }
 
     #[inline]
     fn neighbors(&self, tet: TetId) -> [TetFace; 4] {
-        let [a, b, c, d] = self.neighbors.load_row::<4>(4 * tet.index());
+        let [a, b, c, d] = self.rows.load_row::<4>(neighbors_at(tet));
         [TetFace(a), TetFace(b), TetFace(c), TetFace(d)]
     }
 
     #[inline]
     fn neighbor(&self, side: TetFace) -> TetFace {
-        TetFace(self.neighbors.load(side.index()))
+        TetFace(self.rows.load(neighbor_at(side)))
     }
 
     #[inline]
@@ -148,10 +164,10 @@ impl TetStore for ClaimedTets<'_> {
             return Err(Error::LimitReached { reason: "no free tet is left in this pass".into() });
         };
         let tet = TetId(id);
-        self.neighbors.store_row(4 * tet.index(), [TetFace::NONE.0; 4]);
+        self.rows.store_row(neighbors_at(tet), [TetFace::NONE.0; 4]);
         self.flags.store(tet.index(), TetFlags::LIVE.bits());
         self.labels.store(tet.index(), label.0);
-        self.vertices.store_row::<4>(4 * tet.index(), bytemuck::cast(vertices));
+        self.rows.store_row::<4>(vertices_at(tet), bytemuck::cast(vertices));
         for v in vertices {
             if !v.is_ghost() {
                 self.vertex_tet.store(v.index(), id);
@@ -161,26 +177,26 @@ impl TetStore for ClaimedTets<'_> {
     }
 
     fn delete_tet(&mut self, tet: TetId) {
-        self.vertices.store_row(4 * tet.index(), [VertexId::GHOST.0; 4]);
-        self.neighbors.store_row(4 * tet.index(), [TetFace::NONE.0; 4]);
+        self.rows.store_row(vertices_at(tet), [VertexId::GHOST.0; 4]);
+        self.rows.store_row(neighbors_at(tet), [TetFace::NONE.0; 4]);
         self.flags.store(tet.index(), TetFlags::DELETED.bits());
         self.ids.recycle(tet.0);
     }
 
     #[inline]
     fn glue(&mut self, side: TetFace, other: TetFace) {
-        self.neighbors.store(side.index(), other.0);
-        self.neighbors.store(other.index(), side.0);
+        self.rows.store(neighbor_at(side), other.0);
+        self.rows.store(neighbor_at(other), side.0);
     }
 
     #[inline]
     fn unglue(&mut self, side: TetFace) {
-        self.neighbors.store(side.index(), TetFace::NONE.0);
+        self.rows.store(neighbor_at(side), TetFace::NONE.0);
     }
 
     #[inline]
     fn set_vertices(&mut self, tet: TetId, vertices: [VertexId; 4]) {
-        self.vertices.store_row::<4>(4 * tet.index(), bytemuck::cast(vertices));
+        self.rows.store_row::<4>(vertices_at(tet), bytemuck::cast(vertices));
     }
 
     #[inline]

@@ -13,11 +13,11 @@
 //! The mesh is the same up to numbers. The result does not depend on the thread count.
 //!
 //! # Cost
-//! About 0.2 s a million tets; 24 B a tet while it runs. Runs on the rayon pool it is called in.
+//! About 0.2 s a million tets; 40 B a tet while it runs. Runs on the rayon pool it is called in.
 
 use rayon::prelude::*;
 
-use super::tet_complex::TetComplex;
+use super::tet_complex::{FREE_HALF, TetComplex};
 use crate::error::Result;
 use crate::geometry::spatial_sort::hilbert_order;
 use crate::index::{TetFace, TetId, VertexId};
@@ -66,35 +66,39 @@ impl TetComplex {
 
     /// Sorts the tets by the smallest rank of their vertices; returns their new numbers.
     fn renumber_tets(&mut self, rank: &[u32]) -> Vec<u32> {
-        let slots = self.tet_vertices.len();
+        let slots = self.tet_flags.len();
         let count = rank.len();
         // Free slots come last.
-        let key = |row: &[VertexId; 4]| {
-            row.iter().filter(|v| !v.is_ghost()).map(|v| rank[v.index()] as usize).min().unwrap_or(count)
+        let key = |halves: &[[u32; 4]]| {
+            let finite = halves[0].iter().filter(|v| !VertexId(**v).is_ghost());
+            finite.map(|v| rank[*v as usize] as usize).min().unwrap_or(count)
         };
+        let rows = self.halves.get(1..).unwrap_or_default();
         let mut starts = vec![0u32; count + 2];
-        self.tet_vertices.iter().for_each(|row| starts[key(row) + 1] += 1);
+        rows.chunks_exact(2).for_each(|row| starts[key(row) + 1] += 1);
         for place in 0..=count {
             starts[place + 1] += starts[place];
         }
         let live = starts[count] as usize;
         let mut old_of = vec![0u32; slots];
         let mut new_of = vec![0u32; slots];
-        for (old, row) in self.tet_vertices.iter().enumerate() {
+        for (old, row) in rows.chunks_exact(2).enumerate() {
             let next = &mut starts[key(row)];
             (old_of[*next as usize], new_of[old]) = (old as u32, *next);
             *next += 1;
         }
         drop(starts);
-        let moved = |side: TetFace| {
-            if side == TetFace::NONE {
-                side
-            } else {
-                TetFace::new(TetId::from_index(new_of[side.tet().index()] as usize), side.face())
-            }
+        let moved = |side: u32| match TetFace(side) {
+            TetFace::NONE => side,
+            side => TetFace::new(TetId::from_index(new_of[side.tet().index()] as usize), side.face()).0,
         };
-        self.tet_vertices = gathered(&self.tet_vertices, &old_of, |row| row);
-        self.tet_neighbors = gathered(&self.tet_neighbors, &old_of, |row| row.map(moved));
+        let mut halves = vec![FREE_HALF; self.halves.len()];
+        let targets = halves.get_mut(1..).unwrap_or_default().par_chunks_exact_mut(2).with_min_len(CHUNK);
+        targets.zip(&old_of).for_each(|(row, &old)| {
+            row[0] = self.halves[2 * old as usize + 1];
+            row[1] = self.halves[2 * old as usize + 2].map(moved);
+        });
+        self.halves = halves;
         self.tet_flags = gathered(&self.tet_flags, &old_of, |flags| flags);
         self.tet_labels = gathered(&self.tet_labels, &old_of, |label| label);
         for tet in self.vertex_tet.iter_mut().filter(|tet| **tet != TetId::NONE) {
@@ -109,9 +113,8 @@ impl TetComplex {
     fn renumber_vertices(&mut self, old_of: &[u32]) {
         let mut new_of = vec![VertexId(0); old_of.len()];
         old_of.iter().enumerate().for_each(|(new, &old)| new_of[old as usize] = VertexId::from_index(new));
-        self.tet_vertices.par_iter_mut().with_min_len(CHUNK).for_each(|row| {
-            *row = row.map(|v| if v.is_ghost() { v } else { new_of[v.index()] });
-        });
+        let rows = self.halves.get_mut(1..).unwrap_or_default().par_chunks_exact_mut(2).with_min_len(CHUNK);
+        rows.for_each(|row| row[0] = row[0].map(|v| if VertexId(v).is_ghost() { v } else { new_of[v as usize].0 }));
         self.points = gathered(&self.points, old_of, |point| point);
         self.vertex_tet = gathered(&self.vertex_tet, old_of, |tet| tet);
     }
@@ -165,7 +168,7 @@ mod tests {
         for face in 0..4 {
             let other = complex.neighbor(TetFace::new(removed, face));
             if other != TetFace::NONE {
-                complex.tet_neighbors[other.tet().index()][other.face()] = TetFace::NONE;
+                complex.unglue(other);
             }
         }
         complex.delete_tet(removed);

@@ -1,7 +1,8 @@
 //! The editable tet mesh: points, tet vertices, packed neighbours, flags and labels.
 //!
 //! # Method
-//! Structure of arrays with rows of fixed size; freed slots are kept in a list and reused, last freed first.
+//! Arrays with rows of fixed size; freed slots are kept in a list and reused, last freed first. Vertices and neighbours of a
+//! tet stand side by side, so that a step of a walk costs one cache line.
 //! Outside the convex hull, tets with the vertex [`VertexId::GHOST`] close the mesh, one on every hull face:
 //! ```text
 //!            ghost                 the hull face a b c is shared by the finite tet below it and by a tet whose
@@ -16,7 +17,7 @@
 //! [`TetComplex::check_invariants`]: see there. Local numbering is that of `mesh::numbering`.
 //!
 //! # Cost
-//! 24 B a point + 4 B a vertex; 16 + 16 + 2 + 2 = 36 B a tet. At most 2^30 - 1 tets.
+//! 24 B a point + 4 B a vertex; 32 + 2 + 2 = 36 B a tet. At most 2^30 - 1 tets.
 
 use glam::DVec3;
 use rustc_hash::FxHashSet;
@@ -30,6 +31,10 @@ use crate::index::{Label, TetFace, TetId, VertexId};
 
 /// Most tets of one complex: `TetFace` packs `4 * tet + face` and keeps the last word as `NONE`.
 pub const MAX_TETS: usize = (1 << 30) - 1;
+
+/// Four ghosts, or no neighbours: the same word.
+pub(super) const FREE_HALF: [u32; 4] = [VertexId::GHOST.0; 4];
+const _: () = assert!(VertexId::GHOST.0 == TetFace::NONE.0);
 
 /// What [`TetComplex::check_invariants`] found.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -51,10 +56,10 @@ impl std::fmt::Display for Violation {
 pub struct TetComplex {
     /// World millimetres; 24 B / vertex.
     pub(super) points: Vec<DVec3>,
-    /// Positive order, ghost allowed; four ghosts in a free slot. 16 B / tet.
-    pub(super) tet_vertices: Vec<[VertexId; 4]>,
-    /// Entry `f`: the side of the neighbour that faces face `f`. 16 B / tet.
-    pub(super) tet_neighbors: Vec<[TetFace; 4]>,
+    /// Rows of half a tet: half `2 t + 1` holds the vertices of tet `t` in positive order, ghost allowed (four ghosts in a
+    /// free slot), half `2 t + 2` its neighbours: entry `f` is the side that faces face `f`. The first half is padding:
+    /// large allocations start 16 bytes after a page, and with it no row straddles a cache line. 32 B / tet.
+    pub(super) halves: Vec<[u32; 4]>,
     /// 2 B / tet.
     pub(super) tet_flags: Vec<TetFlags>,
     /// 2 B / tet.
@@ -78,23 +83,19 @@ impl TetComplex {
         Ok(Self { points, vertex_tet, ..Self::default() })
     }
 
-    /// A complex made of whole arrays, as a kernel leaves them: rows without a free slot, neighbours complete.
-    /// Labels are background, flags clear, and `vertex_tet` is computed.
+    /// A complex made of whole rows, as a kernel leaves them: padding, then vertices and neighbours of each tet, none of
+    /// them free, neighbours complete. Labels are background, flags clear, and `vertex_tet` is computed.
     ///
     /// # Errors
     /// [`Error::CapacityExceeded`] where ids do not suffice.
-    pub fn from_rows(
-        points: Vec<DVec3>,
-        tet_vertices: Vec<[VertexId; 4]>,
-        tet_neighbors: Vec<[TetFace; 4]>,
-    ) -> Result<Self> {
+    pub fn from_rows(points: Vec<DVec3>, halves: Vec<[u32; 4]>) -> Result<Self> {
         let mut complex = Self::with_points(points)?;
-        check_tet_count(tet_vertices.len())?;
-        assert_eq!(tet_vertices.len(), tet_neighbors.len(), "one neighbour row per tet");
-        complex.tet_flags = vec![TetFlags::LIVE; tet_vertices.len()];
-        complex.tet_labels = vec![Label::BACKGROUND; tet_vertices.len()];
-        complex.tet_vertices = tet_vertices;
-        complex.tet_neighbors = tet_neighbors;
+        let count = halves.len() / 2;
+        check_tet_count(count)?;
+        assert_eq!(halves.len(), 2 * count + 1, "padding and two halves a tet");
+        complex.tet_flags = vec![TetFlags::LIVE; count];
+        complex.tet_labels = vec![Label::BACKGROUND; count];
+        complex.halves = halves;
         complex.rebuild_vertex_tets();
         Ok(complex)
     }
@@ -125,7 +126,7 @@ impl TetComplex {
 
     /// Number of live tets, ghost tets included.
     pub fn live_count(&self) -> usize {
-        self.tet_vertices.len() - self.free_slots.len()
+        self.tet_flags.len() - self.free_slots.len()
     }
 
     /// The ids of all live tets, ghost tets included, in slot order.
@@ -145,8 +146,7 @@ impl TetComplex {
     pub fn try_reserve_tets(&mut self, additional: usize) -> Result<()> {
         let bytes = additional as u64 * 36;
         let failed = |_| Error::OutOfMemory { what: "tets", bytes };
-        self.tet_vertices.try_reserve(additional).map_err(failed)?;
-        self.tet_neighbors.try_reserve(additional).map_err(failed)?;
+        self.halves.try_reserve(2 * additional + 1).map_err(failed)?;
         self.tet_flags.try_reserve(additional).map_err(failed)?;
         self.tet_labels.try_reserve(additional).map_err(failed)
     }
@@ -156,12 +156,11 @@ impl TetComplex {
     /// # Errors
     /// [`Error::CapacityExceeded`] or [`Error::OutOfMemory`].
     pub fn add_free_slots(&mut self, additional: usize) -> Result<()> {
-        let old = self.tet_vertices.len();
+        let old = self.tet_flags.len();
         check_tet_count(old + additional)?;
         self.try_reserve_tets(additional)?;
         let new = old + additional;
-        self.tet_vertices.resize(new, [VertexId::GHOST; 4]);
-        self.tet_neighbors.resize(new, [TetFace::NONE; 4]);
+        self.halves.resize(2 * new + 1, FREE_HALF);
         self.tet_flags.resize(new, TetFlags::DELETED);
         self.tet_labels.resize(new, Label::BACKGROUND);
         self.free_slots.extend((old..new).rev().map(TetId::from_index));
@@ -177,7 +176,8 @@ impl TetComplex {
     pub fn rebuild_vertex_tets(&mut self) {
         self.vertex_tet.fill(TetId::NONE);
         for ghost_pass in [true, false] {
-            for (i, row) in self.tet_vertices.iter().enumerate() {
+            for i in 0..self.tet_flags.len() {
+                let row = self.vertices(TetId::from_index(i));
                 if self.tet_flags[i].is_deleted() || row.contains(&VertexId::GHOST) != ghost_pass {
                     continue;
                 }
@@ -194,8 +194,8 @@ impl TetComplex {
     /// [`Error::InvalidArgument`] where three tets share a face, or two from the same side.
     pub fn pair_faces(&mut self) -> Result<()> {
         let mut open = rustc_hash::FxHashMap::default();
-        for i in 0..self.tet_vertices.len() {
-            self.tet_neighbors[i] = [TetFace::NONE; 4];
+        for i in 0..self.tet_flags.len() {
+            self.halves[2 * i + 2] = FREE_HALF;
             if self.tet_flags[i].is_deleted() {
                 continue;
             }
@@ -225,8 +225,9 @@ impl TetComplex {
     /// The first [`Violation`] found.
     pub fn check_invariants(&self) -> std::result::Result<(), Violation> {
         let fail = |tet, text: String| Err(Violation { tet, text });
-        let n = self.tet_vertices.len();
-        if [self.tet_neighbors.len(), self.tet_flags.len(), self.tet_labels.len()] != [n; 3]
+        let n = self.tet_flags.len();
+        if self.tet_labels.len() != n
+            || self.halves.len() != 2 * n + usize::from(n > 0)
             || self.vertex_tet.len() != self.points.len()
         {
             return fail(TetId::NONE, "arrays of different lengths".into());
@@ -278,7 +279,7 @@ impl TetComplex {
             if other == TetFace::NONE {
                 continue;
             }
-            if other.tet().index() >= self.tet_vertices.len() || !self.is_live(other.tet()) {
+            if other.tet().index() >= self.tet_flags.len() || !self.is_live(other.tet()) {
                 return Err(format!("neighbour across face {face} is not live"));
             }
             if self.neighbor(other) != side {
@@ -367,7 +368,7 @@ impl TetStore for TetComplex {
 
     #[inline]
     fn slot_count(&self) -> usize {
-        self.tet_vertices.len()
+        self.tet_flags.len()
     }
 
     #[inline]
@@ -377,17 +378,17 @@ impl TetStore for TetComplex {
 
     #[inline]
     fn vertices(&self, tet: TetId) -> [VertexId; 4] {
-        self.tet_vertices[tet.index()]
+        bytemuck::cast(self.halves[2 * tet.index() + 1])
     }
 
     #[inline]
     fn neighbors(&self, tet: TetId) -> [TetFace; 4] {
-        self.tet_neighbors[tet.index()]
+        bytemuck::cast(self.halves[2 * tet.index() + 2])
     }
 
     #[inline]
     fn neighbor(&self, side: TetFace) -> TetFace {
-        self.tet_neighbors.as_flattened()[side.index()]
+        TetFace(self.halves[2 * side.tet().index() + 2][side.face()])
     }
 
     #[inline]
@@ -412,18 +413,20 @@ impl TetStore for TetComplex {
 
     fn create_tet(&mut self, vertices: [VertexId; 4], label: Label) -> Result<TetId> {
         let tet = if let Some(tet) = self.free_slots.pop() {
-            self.tet_vertices[tet.index()] = vertices;
-            self.tet_neighbors[tet.index()] = [TetFace::NONE; 4];
+            self.halves[2 * tet.index() + 1] = bytemuck::cast(vertices);
+            self.halves[2 * tet.index() + 2] = FREE_HALF;
             self.tet_flags[tet.index()] = TetFlags::LIVE;
             self.tet_labels[tet.index()] = label;
             tet
         } else {
-            check_tet_count(self.tet_vertices.len() + 1)?;
-            self.tet_vertices.push(vertices);
-            self.tet_neighbors.push([TetFace::NONE; 4]);
+            check_tet_count(self.tet_flags.len() + 1)?;
+            if self.halves.is_empty() {
+                self.halves.push(FREE_HALF);
+            }
+            self.halves.extend([bytemuck::cast(vertices), FREE_HALF]);
             self.tet_flags.push(TetFlags::LIVE);
             self.tet_labels.push(label);
-            TetId::from_index(self.tet_vertices.len() - 1)
+            TetId::from_index(self.tet_flags.len() - 1)
         };
         for v in vertices {
             if !v.is_ghost() {
@@ -435,27 +438,26 @@ impl TetStore for TetComplex {
 
     fn delete_tet(&mut self, tet: TetId) {
         debug_assert!(self.is_live(tet));
-        self.tet_vertices[tet.index()] = [VertexId::GHOST; 4];
-        self.tet_neighbors[tet.index()] = [TetFace::NONE; 4];
+        self.halves[2 * tet.index() + 1] = FREE_HALF;
+        self.halves[2 * tet.index() + 2] = FREE_HALF;
         self.tet_flags[tet.index()] = TetFlags::DELETED;
         self.free_slots.push(tet);
     }
 
     #[inline]
     fn glue(&mut self, side: TetFace, other: TetFace) {
-        let neighbors = self.tet_neighbors.as_flattened_mut();
-        neighbors[side.index()] = other;
-        neighbors[other.index()] = side;
+        self.halves[2 * side.tet().index() + 2][side.face()] = other.0;
+        self.halves[2 * other.tet().index() + 2][other.face()] = side.0;
     }
 
     #[inline]
     fn unglue(&mut self, side: TetFace) {
-        self.tet_neighbors.as_flattened_mut()[side.index()] = TetFace::NONE;
+        self.halves[2 * side.tet().index() + 2][side.face()] = TetFace::NONE.0;
     }
 
     #[inline]
     fn set_vertices(&mut self, tet: TetId, vertices: [VertexId; 4]) {
-        self.tet_vertices[tet.index()] = vertices;
+        self.halves[2 * tet.index() + 1] = bytemuck::cast(vertices);
     }
 
     #[inline]
