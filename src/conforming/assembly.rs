@@ -107,9 +107,8 @@ pub fn finish(
     tets.iter().enumerate().for_each(|(i, t)| element_of[t.index()] = i as i64);
     // Facet, triangle outward from its first tet, that tet's side.
     let mut faces: Vec<(u32, [VertexId; 3], TetFace)> = Vec::new();
-    for &tet in &tets {
-        for face in 0..4 {
-            let side = TetFace::new(tet, face);
+    for &tet in tets.iter().filter(|&&tet| complex.flags(tet).has_constrained_face()) {
+        for side in (0..4).map(|face| TetFace::new(tet, face)).filter(|&side| complex.is_face_constrained(side)) {
             let triangle = complex.face_vertices(side);
             let Some(&facet) = subfaces.get(&face_key(triangle)) else { continue };
             let other = complex.neighbor(side);

@@ -124,7 +124,10 @@ pub fn deactivate(complex: &mut TetComplex, sizes: &[f64], rule: Satisfaction, a
     let satisfied: Vec<bool> = unique
         .par_iter()
         .with_min_len(CHUNK)
-        .map(|&tet| rule.holds(reader.points_of(tet), corner_sizes(reader, sizes, tet)))
+        .map(|&tet| {
+            let is_long = reader.flags(tet).has_user_bit(UNSETTLED);
+            !is_long && rule.holds(reader.points_of(tet), corner_sizes(reader, sizes, tet))
+        })
         .collect();
     for (&tet, &done) in unique.iter().zip(&satisfied) {
         let flags = complex.flags(tet).with_queued(false);

@@ -82,6 +82,9 @@ const ATTEMPT_ROOM: usize = 256;
 const TETS_PER_INSERT: usize = 9;
 /// Passes with fewer items run on one thread: sharing would cost more than it brings.
 const MIN_PARALLEL: usize = 512;
+/// An insertion round is shared where the cavities of all threads, as large as those of the round before, take less than
+/// this part of the mesh: rounds grow by eight and cavities shrink as much.
+const MEETING: usize = 16;
 /// Items between two looks at cancellation.
 const CHECK_INTERVAL: usize = 256;
 /// Rounds for items that found no room.
@@ -439,8 +442,8 @@ impl Driver {
     }
 
     /// Inserts vertices in this order, one round after the other, of which `ends` are the ends; returns those that were not
-    /// inserted. `fresh` gains the tets that are new. The cavities of the first rounds are large, but few threads meet in
-    /// them: each works along its own part of the curve.
+    /// inserted. `fresh` gains the tets that are new. While cavities are so large that threads would stand in each other's
+    /// way, one thread makes them.
     ///
     /// # Errors
     /// [`crate::error::Error::Cancelled`], or what the store refuses.
@@ -453,13 +456,29 @@ impl Driver {
         fresh: &mut Vec<TetId>,
     ) -> Result<Vec<Rejected>> {
         let mut begin = 0;
+        let mut cavity = usize::MAX;
         for &end in ends {
             let room = TETS_PER_INSERT * (end - begin);
-            self.run(complex, &InsertJob { clearances, rule }, inserts[begin..end].to_vec(), room)?;
+            let job = InsertJob { clearances, rule };
+            let known = self.made_and_rejected();
+            if end == inserts.len() || cavity.saturating_mul(MEETING * self.threads) < complex.vertex_count() {
+                self.run(complex, &job, inserts[begin..end].to_vec(), room)?;
+            } else {
+                self.run_alone(complex, &job, &inserts[begin..end])?;
+            }
+            let (made, rejected) = self.made_and_rejected();
+            cavity = (made - known.0) / (end - begin).saturating_sub(rejected - known.1).max(1);
             begin = end;
         }
         fresh.append(&mut self.finish_lost(complex, Objective::InSphere, FourFour::Off)?);
         Ok(self.kits.iter_mut().flat_map(|kit| std::mem::take(&mut kit.rejected)).collect())
+    }
+
+    /// Numbers of new tets and of rejected vertices that the threads have listed.
+    fn made_and_rejected(&self) -> (usize, usize) {
+        self.kits
+            .iter()
+            .fold((0, 0), |(made, rejected), kit| (made + kit.reconnector.fresh.len(), rejected + kit.rejected.len()))
     }
 
     /// Reconnects from every tet of `tets`, which is replaced by those and all new ones; up to `repeats` times from

@@ -71,20 +71,22 @@ impl TetComplex {
         // Free slots come last.
         let key = |halves: &[[u32; 4]]| {
             let finite = halves[0].iter().filter(|v| !VertexId(**v).is_ghost());
-            finite.map(|v| rank[*v as usize] as usize).min().unwrap_or(count)
+            finite.map(|v| rank[*v as usize]).min().unwrap_or(count as u32)
         };
         let rows = self.halves.get(1..).unwrap_or_default();
+        let keys: Vec<u32> = rows.par_chunks_exact(2).with_min_len(CHUNK).map(key).collect();
         let mut starts = vec![0u32; count + 2];
-        rows.chunks_exact(2).for_each(|row| starts[key(row) + 1] += 1);
+        keys.iter().for_each(|&key| starts[key as usize + 1] += 1);
         for place in 0..=count {
             starts[place + 1] += starts[place];
         }
         let live = starts[count] as usize;
         let mut old_of = vec![0u32; slots];
-        let mut new_of = vec![0u32; slots];
-        for (old, row) in rows.chunks_exact(2).enumerate() {
-            let next = &mut starts[key(row)];
-            (old_of[*next as usize], new_of[old]) = (old as u32, *next);
+        // The keys become the new numbers.
+        let mut new_of = keys;
+        for (old, new) in new_of.iter_mut().enumerate() {
+            let next = &mut starts[*new as usize];
+            (old_of[*next as usize], *new) = (old as u32, *next);
             *next += 1;
         }
         drop(starts);
@@ -101,9 +103,8 @@ impl TetComplex {
         self.halves = halves;
         self.tet_flags = gathered(&self.tet_flags, &old_of, |flags| flags);
         self.tet_labels = gathered(&self.tet_labels, &old_of, |label| label);
-        for tet in self.vertex_tet.iter_mut().filter(|tet| **tet != TetId::NONE) {
-            *tet = TetId::from_index(new_of[tet.index()] as usize);
-        }
+        let known = self.vertex_tet.par_iter_mut().with_min_len(CHUNK).filter(|tet| **tet != TetId::NONE);
+        known.for_each(|tet| *tet = TetId::from_index(new_of[tet.index()] as usize));
         self.free_slots.clear();
         self.free_slots.extend((live..slots).rev().map(TetId::from_index));
         new_of
