@@ -4,7 +4,8 @@
 //! 1. Missing edges are recovered by flips, in passes of growing depth, from both ends and then all along; no face is
 //!    kept yet.
 //! 2. Edges that constraints lock get a point between these (`volume_points`), then points beside them
-//!    (`edge_bridging`); where that fails they are split.
+//!    (`edge_bridging`); where that fails they are split, at last in sight of their ends (`sight_insertion`), with the
+//!    faces between them kept.
 //! 3. Missing faces are recovered by local reconnections; those that resist are split (`steiner_points`).
 //! 4. The Steiner points are taken off the surface again (`partition_elimination`), into the volume where need be. Where
 //!    one resists, its split is taken back as a constraint, the point becomes one of the volume, and 1 to 4 are repeated
@@ -32,6 +33,7 @@ pub mod edge_recovery;
 pub mod edge_removal;
 pub mod face_recovery;
 pub mod partition_elimination;
+pub mod sight_insertion;
 pub mod steiner_points;
 pub mod steiner_removal;
 pub mod volume_points;
@@ -142,6 +144,9 @@ const MOST_TURNS: usize = 8;
 
 /// Passes in a row without an edge recovered, after which deeper ones are not tried.
 const MOST_FRUITLESS: usize = 2;
+
+/// Rounds of splits before the faces whose edges are there are recovered and kept.
+const ROUNDS_WITHOUT_FACES: usize = 1;
 
 /// Rounds of splits before the next ones go where they see the ends of their edge.
 const ROUNDS_OUT_OF_SIGHT: usize = 2;
@@ -299,6 +304,10 @@ fn recover_all_edges(
             fruitless = if missing.len() < before { 0 } else { fruitless + 1 };
         }
         missing = volume_points::unlock_edges(mesh, missing, &efforts[2], context)?;
+        if round >= ROUNDS_WITHOUT_FACES && !missing.is_empty() {
+            recover_present_faces(mesh, efforts, context)?;
+            missing = edge_recovery::recover_edges(mesh, missing, &efforts[2], context)?;
+        }
         let mut next = Vec::new();
         for edge in missing {
             context.check()?;
@@ -335,6 +344,21 @@ fn recover_all_edges(
     }
     let places = missing.iter().map(|e| 0.5 * (mesh.at(e[0]) + mesh.at(e[1]))).collect();
     Err(not_recovered(places, "an edge of the surface could not be recovered"))
+}
+
+/// Recovers the faces whose edges are there, and keeps them from now on. Edges of the mesh in a plane of the surface may
+/// pass before one segment and behind another by rounding: nothing but a face between the two shows that they are wrong,
+/// and as long as they are there the flat tets at them hide a vertex from all that is above the plane.
+fn recover_present_faces(mesh: &mut ConstrainedMesh, efforts: &[Effort], context: &RunContext) -> Result<()> {
+    mesh.keeps_faces = true;
+    let mut faces = mesh.missing_subfaces();
+    faces.retain(|&[a, b, c]| [[a, b], [b, c], [a, c]].iter().all(|e| mesh.has_edge(e[0], e[1])));
+    for effort in &efforts[..3] {
+        if !faces.is_empty() {
+            faces = face_recovery::recover_faces(mesh, faces, effort, context)?;
+        }
+    }
+    Ok(())
 }
 
 fn recover_all_faces(

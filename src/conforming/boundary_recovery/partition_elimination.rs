@@ -71,6 +71,9 @@ const MOST_LIFTED: usize = 20;
 /// Share of an edge by which it is bent off the plane at least: far above rounding.
 const LEAST_LIFT: f64 = 1e-9;
 
+/// Share of an edge at its ends where it is not split.
+const FOOT_SHARE: f64 = 1e-3;
+
 /// Places tried on a split segment.
 const SLIDE_PLACES: usize = 50;
 
@@ -221,7 +224,7 @@ fn crossing_edges(mesh: &ConstrainedMesh, place: DVec3, sector: &Sector) -> Vec<
 
 /// Splits an edge and moves the new vertex off it, where its ring has most room. Flat tets of the ring leave none: then the
 /// edges opposite in these, which lie above it, are lifted instead; the topmost has room.
-fn lift_edge(
+pub fn lift_edge(
     mesh: &mut ConstrainedMesh,
     edge: EdgeKey,
     (near, direction): (DVec3, DVec3),
@@ -233,7 +236,7 @@ fn lift_edge(
     let front = mesh.shape_of(ring).front;
     let faces: Vec<[DVec3; 3]> = front.iter().map(|f| f.map(|v| mesh.at(v))).collect();
     let ends = edge.map(|v| mesh.at(v));
-    let [start, _] = closest_points(ends, [near, near + direction]);
+    let start = foot_on_edge(ends, (near, direction));
     let least = LEAST_LIFT * ends[0].distance(ends[1]);
     let place = kernel_point(&faces, start, direction).filter(|x| (*x - start).dot(direction) > least);
     let Some(place) = place else {
@@ -264,6 +267,14 @@ fn lift_edge(
         return Ok(None);
     }
     Ok(Some(vertex))
+}
+
+/// The point of an edge next to a line, off the ends; `direction` is a unit vector.
+fn foot_on_edge([a, b]: [DVec3; 2], (near, direction): (DVec3, DVec3)) -> DVec3 {
+    let across = |v: DVec3| v - direction * direction.dot(v);
+    let (along, off) = (across(b - a), across(near - a));
+    let share = (along.dot(off) / along.length_squared()).clamp(FOOT_SHARE, 1.0 - FOOT_SHARE);
+    a.lerp(b, if share.is_finite() { share } else { 0.5 })
 }
 
 /// The subfaces a split made, each with the whole face it is part of and the facet.

@@ -4,7 +4,7 @@
 //! 1. A missing edge is split where it crosses a face of the mesh, nearest to its middle; a missing face where an edge
 //!    pierces it, farthest from its border. Rounding moves the point off the edge or face by less than any feature.
 //!    Where flat tets of a plane lie before an end, every part of the segment at that end stays missing: then the point
-//!    goes where it sees the end, and the tets between make room for it.
+//!    goes where it sees the end (`sight_insertion`).
 //! 2. The point is located by a walk; the cavity grows from there over tets whose circumsphere contains the point, never
 //!    over a subface or around a segment, and is thinned until the point sees its whole boundary.
 //!
@@ -63,10 +63,10 @@ pub fn insert_on_segment(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey) -> Result<
 }
 
 /// What a segment crosses: where, as a share of the way, and the tets around it.
-type Place = (f64, Vec<TetId>);
+pub type Place = (f64, Vec<TetId>);
 
 /// The places where the segment crosses faces and edges that are no constraints, in order; `None` where it cannot be told.
-fn crossed_places(mesh: &ConstrainedMesh, [a, b]: EdgeKey) -> Option<Vec<Place>> {
+pub fn crossed_places(mesh: &ConstrainedMesh, [a, b]: EdgeKey) -> Option<Vec<Place>> {
     let Some(Path::Through(crossings)) = trace(mesh, a, b) else { return None };
     let (pa, pb) = (mesh.at(a), mesh.at(b));
     let mut places: Vec<Place> = Vec::new();
@@ -110,35 +110,6 @@ fn insert_at_crossing(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey) -> Result<Opt
             return Ok(Some(vertex));
         }
         mesh.complex.truncate_points(count);
-    }
-    Ok(None)
-}
-
-/// Puts a point on a missing segment in sight of its ends: flat tets may lie before an end, in a plane of the surface,
-/// where no part of the segment however short is an edge. They make room for the point, which then has an edge to that
-/// end. `None` where no point could be inserted.
-///
-/// # Errors
-/// Those of vertex and tet creation.
-pub fn insert_in_sight(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey) -> Result<Option<VertexId>> {
-    let Some(places) = crossed_places(mesh, [a, b]) else { return Ok(None) };
-    // The longest way without a crossing.
-    let shares: Vec<f64> = std::iter::once(0.0).chain(places.iter().map(|p| p.0)).chain([1.0]).collect();
-    let gap = |i: &usize| shares[i + 1] - shares[*i];
-    let Some(widest) = (0..shares.len() - 1).max_by(|i, j| gap(i).total_cmp(&gap(j))) else { return Ok(None) };
-    let point = mesh.at(a).lerp(mesh.at(b), 0.5 * (shares[widest] + shares[widest + 1]));
-    let hint = mesh.complex.tet_of(a);
-    let Some(host) = locate(mesh, point, hint).filter(|&host| !mesh.complex.points_of(host).contains(&point)) else {
-        return Ok(None);
-    };
-    for wanted in [&places[..], &places[..widest], &places[widest..]] {
-        let mut forced: Vec<TetId> = std::iter::once(host).chain(wanted.iter().flat_map(|p| p.1.clone())).collect();
-        forced.sort_unstable();
-        forced.dedup();
-        let is_finite = forced.iter().all(|&tet| !mesh.complex.is_ghost_tet(tet));
-        if is_finite && let Some(steiner) = insert_with(mesh, point, forced)? {
-            return Ok(Some(steiner));
-        }
     }
     Ok(None)
 }
@@ -225,23 +196,34 @@ pub fn insert_point(mesh: &mut ConstrainedMesh, point: DVec3, hint: TetId) -> Re
     if mesh.complex.points_of(host).contains(&point) {
         return Ok(None);
     }
-    insert_with(mesh, point, vec![host])
+    Ok(insert_with(mesh, point, vec![host])?.ok())
 }
 
-/// Inserts a point in a cavity that contains the tets `forced`.
-fn insert_with(mesh: &mut ConstrainedMesh, point: DVec3, forced: Vec<TetId>) -> Result<Option<VertexId>> {
+/// Inserts a point in a cavity that contains the tets `forced`; without a valid one nothing changes, and the tets that
+/// were to go are returned.
+///
+/// # Errors
+/// Those of vertex and tet creation.
+pub fn insert_with(
+    mesh: &mut ConstrainedMesh,
+    point: DVec3,
+    forced: Vec<TetId>,
+) -> Result<std::result::Result<VertexId, Vec<TetId>>> {
     let mut marks = std::mem::take(&mut mesh.marks);
     let cavity = star_cavity(mesh, point, forced, &mut marks);
     mesh.marks = marks;
-    let Some((cavity, front)) = cavity else { return Ok(None) };
+    let (cavity, front) = match cavity {
+        Ok(found) => found,
+        Err(tets) => return Ok(Err(tets)),
+    };
     let count = mesh.complex.points().len();
     let vertex = mesh.complex.push_point(point)?;
     let new: Vec<[VertexId; 4]> = front.iter().map(|&[a, b, c]| [a, b, c, vertex]).collect();
     if !mesh.replace(&cavity, &new)? {
         mesh.complex.truncate_points(count);
-        return Ok(None);
+        return Ok(Err(cavity));
     }
-    Ok(Some(vertex))
+    Ok(Ok(vertex))
 }
 
 /// What is known of the tets while a cavity is sought: an entry counts for one insertion or one round of it.
@@ -308,17 +290,18 @@ impl CavityMarks {
 /// Tets, and the faces around them as seen from inside.
 type Cavity = (Vec<TetId>, Vec<[VertexId; 3]>);
 
-/// A set of tets around the point that it sees from inside, and that swallows no constraint.
+/// A set of tets around the point that it sees from inside, and that swallows no constraint; else the tets tried last.
 fn star_cavity(
     mesh: &ConstrainedMesh,
     point: DVec3,
     mut forced: Vec<TetId>,
     marks: &mut CavityMarks,
-) -> Option<Cavity> {
+) -> std::result::Result<Cavity, Vec<TetId>> {
     marks.begin(mesh.complex.slot_count());
     let most = forced.len() + MOST_FORCED;
+    let mut cavity = Vec::new();
     for _ in 0..MOST_REPAIRS {
-        let cavity = conflict_region(mesh, point, &forced, marks);
+        cavity = conflict_region(mesh, point, &forced, marks);
         let mut faults = hidden_faces(mesh, point, &cavity, marks);
         if faults.is_empty() {
             let shape = mesh.shape_of(&cavity);
@@ -326,7 +309,7 @@ fn star_cavity(
             // The last tet that has a swallowed segment: the first ones contain the point.
             let swallowed = shape.segments.first().and_then(|e| cavity.iter().rev().copied().find(|&tet| has(tet, e)));
             match swallowed {
-                None => return Some((cavity, shape.front)),
+                None => return Ok((cavity, shape.front)),
                 Some(tet) => faults.push((tet, None)),
             }
         }
@@ -343,14 +326,11 @@ fn star_cavity(
             continue;
         }
         // A tet that contains the point has to stay: its neighbour joins instead.
-        let beyond = faults[0].1?;
-        if forced.len() > most {
-            return None;
-        }
+        let Some(beyond) = faults[0].1.filter(|_| forced.len() <= most) else { break };
         *marks.known(beyond) &= !BANNED;
         forced.push(beyond);
     }
-    None
+    Err(cavity)
 }
 
 /// Tets reachable from `forced` whose circumsphere contains the point.
@@ -413,31 +393,4 @@ fn hidden_faces(
         }
     }
     faults
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::mesh::tet_complex::TetComplex;
-
-    #[test]
-    fn a_point_in_sight_has_edges_past_a_flat_tet() {
-        let flat = 1e-20;
-        let points = [[0., 0., 0.], [1., 0., flat], [-1., 1., flat], [-1., -1., flat], [3., 0., 1.]];
-        let mut complex = TetComplex::with_points(points.map(DVec3::from_array).to_vec()).unwrap();
-        for row in [[1, 3, 2, 0], [1, 2, 3, 4]] {
-            complex.create_tet(row.map(VertexId), crate::index::Label(0)).unwrap();
-        }
-        complex.pair_faces().unwrap();
-        let mut mesh = ConstrainedMesh::new(complex, &[]);
-        mesh.complex.check_invariants().unwrap();
-        assert!(mesh.complex.finite_tets().all(|tet| mesh.complex.is_positive(tet)));
-        let [a, b] = [VertexId(0), VertexId(4)];
-        assert!(!mesh.has_edge(a, b));
-        let steiner = insert_in_sight(&mut mesh, [a, b]).unwrap().unwrap();
-        assert!(mesh.has_edge(a, steiner) && mesh.has_edge(steiner, b));
-        mesh.complex.check_invariants().unwrap();
-        assert!(mesh.complex.finite_tets().all(|tet| mesh.complex.is_positive(tet)));
-        assert_eq!(insert_in_sight(&mut mesh, [a, steiner]).unwrap(), None, "nothing lies between");
-    }
 }
