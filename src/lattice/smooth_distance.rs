@@ -1,13 +1,14 @@
-//! A smooth signed distance per label between the voxel centres: the least bent one that the voxels allow.
+//! A smooth signed distance per label between the voxel centres: the one that the voxels allow whose curvature varies least.
 //!
 //! # Method
 //! For each label, over the voxels within two layers of its boundary:
 //! 1. Bounds: the distance to the surface, positive inside, has the sign of its voxel, is at most the distance to the
 //!    nearest voxel centre of the other side, and at least a voxel diagonal less than that.
 //! 2. The sum of the squared second differences (thin-plate energy, mm) is made small within the bounds by accelerated
-//!    projected gradient steps. Differences with a voxel outside of the layers are left out, so that planes cost nothing.
-//! 3. Where the label or what is around it is at most two voxels thick, a distance has a crease that must not be ironed
-//!    out: second differences weigh little there.
+//!    projected gradient steps: these take out the long waves of the staircase. Differences with a voxel outside of the
+//!    layers are left out, so that planes cost nothing.
+//! 3. The same with the squared differences of the second differences between neighbours: quadrics cost nothing now, so
+//!    that thin rods, balls and walls are not thinned, which bending would do.
 //! 4. The values become coefficients of a quadratic B-spline, stored by blocks of 4 x 4 x 4 voxels, evaluated anywhere.
 //! ```text
 //!   voxels of an oblique plane        the surface with the least bending that separates the centres
@@ -17,18 +18,19 @@
 //! ```
 //!
 //! # Source
-//! [Lempitsky2010] for the energy and the bounds by sign; [BeckTeboulle2009] and [ODonoghueCandes2015] for the steps and
+//! [Lempitsky2010] for the first energy and the bounds by sign, [MoretonSequin1992] for the variation of curvature;
+//! [BeckTeboulle2009] and [ODonoghueCandes2015] for the steps and
 //! their restarts; [BluThevenazUnser2001] for quasi-interpolation by splines.
 //!
 //! # Differences
-//! Bounds from distances on both sides instead of a sign alone; thin parts treated apart; a fixed effort: the last per mille of
-//! the energy is below what a mesh resolves.
+//! Bounds from distances on both sides instead of a sign alone; a second energy; a fixed effort: the last per mille of the
+//! energy is below what a mesh resolves.
 //!
 //! # Invariants
 //! Every voxel keeps its side up to the order of the spline. The same bits for any number of threads.
 //!
 //! # Cost
-//! About 100 bytes per voxel in the layers of the labels in work, 6 bytes per voxel kept; `STEPS` passes. Parallel by
+//! About 140 bytes per voxel in the layers of the labels in work, 6 bytes per voxel kept; 80 passes. Parallel by
 //! labels and by chunks of voxels.
 //!
 //! # Limits
@@ -43,23 +45,19 @@ use crate::image::label_image::LabelImage;
 use crate::index::Label;
 use crate::lattice::bcc_lattice::floor_of;
 
-/// Projected gradient steps. Measured on balls and tori of 1 to 3 mm anisotropy: 30, 60, 100 steps leave mean errors of 0.12,
-/// 0.10, 0.09 voxel on an oblique torus of 0.8 x 0.9 x 2 mm, and of 0.05, 0.036, 0.029 on a ball of 0.7 x 0.7 x 1.6 mm.
-const STEPS: usize = 80;
+/// Projected gradient steps that lessen the bending, then its variation. On vessels of 1.5 to 3 voxels radius the surface is
+/// off by 0.134 voxel in the mean with 80 and 0, by 0.102 with 50 and 30; on a ball of 20 voxels by 0.045 and 0.049, and by 0.059
+/// with 0 and 80, which leaves waves of more than eight voxels.
+const BENDING_STEPS: usize = 50;
+const VARIATION_STEPS: usize = 30;
 
 /// A step that moves no voxel by more than this part of the smallest spacing is the last.
 const LAST_STEP: f32 = 5e-4;
 
 /// Least distance to the surface, of the distance to the other side: how far the surface stays from the voxel centres. Larger
-/// ones follow the staircase: 0.15, 0.2, 0.25 leave 0.60, 0.59, 0.59 voxel from a brain's staircase at 95 % of it, and errors
-/// of up to 0.30, 0.43, 0.51 voxel on balls. A wall of 1.5 voxels keeps its volume within 3 % from 0.2 on.
-const MARGIN: f64 = 0.2;
-
-/// Weight of second differences in thin parts.
-const THIN_WEIGHT: f32 = 0.01;
-
-/// A voxel is in a thin part when no voxel of its side within this index distance has all its 26 neighbours on its side.
-const THIN_REACH: i32 = 3;
+/// ones follow the staircase: 0.1, 0.12, 0.15 leave 0.593, 0.588, 0.582 voxel from a brain's staircase at 95 % of it, and mean errors
+/// of 0.044, 0.050, 0.059 voxel on a ball.
+const MARGIN: f64 = 0.12;
 
 /// Work per task.
 const CHUNK: usize = 8192;
@@ -237,8 +235,6 @@ struct LabelBand<'a> {
     numbers: Vec<u32>,
     /// Voxel of each number, in order.
     voxels: Vec<[u32; 3]>,
-    /// Whether a numbered voxel has both sides among its 26 neighbours and itself.
-    is_first: Vec<bool>,
 }
 
 /// One unknown: value and bounds, mm.
@@ -247,7 +243,7 @@ struct Unknown {
     value: f32,
     low: f32,
     high: f32,
-    /// Which of the six second differences exist (bits 0 to 5); bit 6: in a thin part.
+    /// Which of the six second differences exist (bits 0 to 5).
     terms: u8,
 }
 
@@ -266,26 +262,23 @@ impl<'a> LabelBand<'a> {
         let low: [usize; 3] = low.map(|l| l.saturating_sub(1));
         let size: [usize; 3] =
             std::array::from_fn(|d| (high[d] + usize::from(!layer.is_empty())).min(grid[d]) - low[d]);
-        let mut band = Self { image, label, low, size, numbers: Vec::new(), voxels: Vec::new(), is_first: Vec::new() };
-        // Marks first: 2 for the first layer, 1 for the second.
-        let mut marks = vec![0u8; size[0] * size[1] * size[2]];
+        let mut band = Self { image, label, low, size, numbers: Vec::new(), voxels: Vec::new() };
+        let mut is_near = vec![false; size[0] * size[1] * size[2]];
         for voxel in layer {
             let at: [usize; 3] = std::array::from_fn(|d| place(*voxel)[d] - low[d]);
             let range = |d: usize| at[d].saturating_sub(1)..(at[d] + 2).min(size[d]);
             for k in range(2) {
                 for j in range(1) {
                     let row = size[0] * (j + size[1] * k);
-                    marks[row + range(0).start..row + range(0).end].iter_mut().for_each(|m| *m = (*m).max(1));
+                    is_near[row + range(0).start..row + range(0).end].fill(true);
                 }
             }
-            marks[at[0] + size[0] * (at[1] + size[1] * at[2])] = 2;
         }
-        band.numbers = vec![NONE; marks.len()];
-        for (voxel, mark) in marks.into_iter().enumerate().filter(|(_, mark)| *mark > 0) {
+        band.numbers = vec![NONE; is_near.len()];
+        for (voxel, _) in is_near.into_iter().enumerate().filter(|(_, is_near)| *is_near) {
             band.numbers[voxel] = band.voxels.len() as u32;
             let at = [voxel % size[0], voxel / size[0] % size[1], voxel / size[0] / size[1]];
             band.voxels.push(std::array::from_fn(|d| (at[d] + low[d]) as u32));
-            band.is_first.push(mark == 2);
         }
         band
     }
@@ -321,43 +314,6 @@ impl<'a> LabelBand<'a> {
         is_deep.then(|| at[0] + self.size[0] * (at[1] + self.size[1] * at[2]))
     }
 
-    /// For each voxel of the box 0 where both sides are among it and its neighbours, else 1 inside of the label, 2 outside.
-    fn sides(&self) -> Vec<u8> {
-        let [ni, nj, _] = self.image.grid().size();
-        let mut sides = Vec::with_capacity(self.numbers.len());
-        for k in 0..self.size[2] {
-            for j in 0..self.size[1] {
-                let first = self.low[0] + ni * (self.low[1] + j + nj * (self.low[2] + k));
-                let row = &self.image.voxels()[first..first + self.size[0]];
-                sides.extend(row.iter().map(|label| if *label == self.label { 1 } else { 2 }));
-            }
-        }
-        for (side, number) in sides.iter_mut().zip(&self.numbers) {
-            if self.is_first.get(*number as usize).copied().unwrap_or(false) {
-                *side = 0;
-            }
-        }
-        sides
-    }
-
-    /// Whether no voxel of the same side without the other side around it is near; `strides` are the steps in `sides`.
-    fn is_thin(&self, number: usize, steps: &[[i32; 3]], strides: &[isize], sides: &[u8]) -> bool {
-        if !self.is_first[number] {
-            return false;
-        }
-        let voxel = self.voxels[number];
-        let side = self.is_inside(voxel);
-        if let Some(at) = self.deep_in_box(voxel, THIN_REACH as usize) {
-            let wanted = if side { 1 } else { 2 };
-            return !strides.iter().any(|stride| sides[at.wrapping_add_signed(*stride)] == wanted);
-        }
-        !steps.iter().any(|step| {
-            let other = self.clamped(voxel, *step);
-            let other_number = self.number(other, [0; 3]);
-            self.is_inside(other) == side && (other_number == NONE || !self.is_first[other_number as usize])
-        })
-    }
-
     /// Distance to the nearest voxel of the other side within two voxels, mm.
     fn distance_to_other_side(&self, voxel: [u32; 3], steps: &[([i32; 3], f64)], strides: &[isize]) -> f64 {
         let side = self.is_inside(voxel);
@@ -380,19 +336,13 @@ impl<'a> LabelBand<'a> {
 
     fn unknowns(&self, neighbors: &[[u32; 12]]) -> Vec<Unknown> {
         let spacing = self.image.grid().spacing();
-        let near: Vec<[i32; 3]> = steps_within(THIN_REACH, |s| s.length() <= f64::from(THIN_REACH));
         let lengths: Vec<([i32; 3], f64)> = {
             let length = |s: [i32; 3]| (DVec3::from_array(s.map(f64::from)) * spacing).length();
-            let mut steps: Vec<_> = steps_within(2, |_| true).into_iter().map(|s| (s, length(s))).collect();
+            let mut steps: Vec<_> = steps_within(2).into_iter().map(|s| (s, length(s))).collect();
             steps.sort_by(|l, r| l.1.total_cmp(&r.1));
             steps
         };
         let count = self.voxels.len();
-        let strides: Vec<isize> = near.iter().map(|step| stride(*step, self.size)).collect();
-        let sides = self.sides();
-        let is_thin = |n: usize| self.is_thin(n, &near, &strides, &sides);
-        let thin: Vec<bool> = (0..count).into_par_iter().with_min_len(CHUNK).map(is_thin).collect();
-        drop(sides);
         let strides: Vec<isize> = lengths.iter().map(|(step, _)| stride(*step, self.image.grid().size())).collect();
         let (diagonal, mean) = (spacing.length(), spacing.element_sum() / 3.0);
         let of_voxel = |n: usize| {
@@ -402,7 +352,7 @@ impl<'a> LabelBand<'a> {
             let low = (distance - diagonal).max(margin);
             let start = (distance - 0.5 * mean).max(0.3 * distance).clamp(low, distance);
             let [low, high, value] = [low, distance, start].map(|x| x as f32);
-            let terms = terms_of(&neighbors[n], count as u32) | u8::from(thin[n]) << 6;
+            let terms = terms_of(&neighbors[n], count as u32);
             if self.is_inside(voxel) {
                 Unknown { value, low, high, terms }
             } else {
@@ -428,7 +378,9 @@ impl<'a> LabelBand<'a> {
         };
         let neighbors: Vec<[u32; 12]> = (0..count).into_par_iter().with_min_len(CHUNK).map(row).collect();
         let mut unknowns = self.unknowns(&neighbors);
-        minimize_bending(&mut unknowns, &neighbors, self.image.grid().spacing(), context)?;
+        let mut descent = Descent::new(&mut unknowns, &neighbors, self.image.grid().spacing());
+        descent.run(Energy::Bending, BENDING_STEPS, context)?;
+        descent.run(Energy::Variation, VARIATION_STEPS, context)?;
         Ok(self.spline(&unknowns, &neighbors))
     }
 
@@ -466,8 +418,8 @@ fn stride(step: [i32; 3], size: [usize; 3]) -> isize {
     i + size[0] as isize * (j + size[1] as isize * k)
 }
 
-/// Steps other than zero with components up to `reach`, the shortest first.
-fn steps_within(reach: i32, keep: impl Fn(DVec3) -> bool) -> Vec<[i32; 3]> {
+/// Steps other than zero with components up to `reach`.
+fn steps_within(reach: i32) -> Vec<[i32; 3]> {
     let range = -reach..=reach;
     let mut steps = Vec::new();
     for k in range.clone() {
@@ -475,8 +427,7 @@ fn steps_within(reach: i32, keep: impl Fn(DVec3) -> bool) -> Vec<[i32; 3]> {
             steps.extend(range.clone().map(|i| [i, j, k]));
         }
     }
-    steps.retain(|s| *s != [0; 3] && keep(DVec3::from_array(s.map(f64::from))));
-    steps.sort_by_key(|s| s.iter().map(|x| x * x).sum::<i32>());
+    steps.retain(|s| *s != [0; 3]);
     steps
 }
 
@@ -488,52 +439,129 @@ fn terms_of(neighbors: &[u32; 12], count: u32) -> u8 {
     pairs.into_iter().chain(squares).enumerate().map(|(bit, term)| u8::from(term) << bit).sum()
 }
 
-/// Weights of the six second differences by the bits of `Unknown::terms`, divided by the steepest curvature of the energy.
-fn term_weights(spacing: DVec3) -> Vec<[f32; 8]> {
+/// Six second differences of a voxel, xx, yy, zz, xy, xz, yz, and two zeros: the width of a vector register.
+type Differences = [f32; 8];
+
+/// Weights of the six second differences, divided by the steepest curvature of the energy.
+fn bending_weights(spacing: DVec3) -> Differences {
     let inverse = (spacing * spacing).recip();
     let steepest = (4.0 * inverse.element_sum()).powi(2);
     let [x, y, z] = inverse.to_array();
     let weights = [x * x, y * y, z * z, 2.0 * x * y, 2.0 * x * z, 2.0 * y * z].map(|w| (w / steepest) as f32);
-    (0..128usize)
-        .map(|terms| {
-            let scale = if terms & 64 != 0 { THIN_WEIGHT } else { 1.0 };
-            std::array::from_fn(|bit| if bit < 6 && terms >> bit & 1 != 0 { scale * weights[bit] } else { 0.0 })
-        })
-        .collect()
+    std::array::from_fn(|term| weights.get(term).copied().unwrap_or(0.0))
 }
 
-/// Accelerated projected gradient steps.
-fn minimize_bending(
-    unknowns: &mut [Unknown],
-    neighbors: &[[u32; 12]],
-    spacing: DVec3,
-    context: &RunContext,
-) -> Result<()> {
-    let weights = term_weights(spacing);
-    // One more for the neighbour that is not there.
-    let mut ahead: Vec<f32> = unknowns.iter().map(|u| u.value).chain([0.0]).collect();
-    let mut bending = vec![[0.0f32; 8]; unknowns.len() + 1];
-    let mut momentum = 1.0f64;
-    let last = LAST_STEP * spacing.min_element() as f32;
-    for _ in 0..STEPS {
-        context.check()?;
-        let count = unknowns.len();
-        bending[..count].par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, rows)| {
+/// Rows of factors by the bits of `Unknown::terms`: those of `weights` where the term exists.
+fn by_terms(weights: Differences) -> [Differences; 64] {
+    std::array::from_fn(|terms| std::array::from_fn(|bit| if terms >> bit & 1 != 0 { weights[bit] } else { 0.0 }))
+}
+
+/// What is lessened.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Energy {
+    /// The squares of the second differences.
+    Bending,
+    /// The squares of their differences between neighbours.
+    Variation,
+}
+
+/// The unknowns of a band on their way to less energy.
+struct Descent<'a> {
+    unknowns: &'a mut [Unknown],
+    neighbors: &'a [[u32; 12]],
+    /// Which terms exist; one more, without any, for the neighbour that is not there, as in all that follow.
+    terms: Vec<u8>,
+    /// Values that the momentum leads to.
+    ahead: Vec<f32>,
+    bending: Vec<Differences>,
+    variation: Vec<Differences>,
+    /// Weights of second differences by terms.
+    weights: [Differences; 64],
+    /// Weights of differences between neighbours along each axis, divided by their steepest curvature.
+    rates: [f32; 3],
+    /// A step that moves no voxel by more is the last, mm.
+    last: f32,
+}
+
+impl<'a> Descent<'a> {
+    fn new(unknowns: &'a mut [Unknown], neighbors: &'a [[u32; 12]], spacing: DVec3) -> Self {
+        let inverse = (spacing * spacing).recip();
+        Self {
+            terms: unknowns.iter().map(|u| u.terms).chain([0]).collect(),
+            ahead: vec![0.0; unknowns.len() + 1],
+            bending: vec![[0.0; 8]; unknowns.len() + 1],
+            variation: vec![[0.0; 8]; unknowns.len() + 1],
+            weights: by_terms(bending_weights(spacing)),
+            rates: (inverse / (4.0 * inverse.element_sum())).to_array().map(|r| r as f32),
+            last: LAST_STEP * spacing.min_element() as f32,
+            unknowns,
+            neighbors,
+        }
+    }
+
+    /// Accelerated projected gradient steps, from rest.
+    fn run(&mut self, energy: Energy, steps: usize, context: &RunContext) -> Result<()> {
+        self.ahead.iter_mut().zip(self.unknowns.iter()).for_each(|(ahead, u)| *ahead = u.value);
+        let mut momentum = 1.0f64;
+        for _ in 0..steps {
+            context.check()?;
+            self.take_bending();
+            if energy == Energy::Variation {
+                self.take_variation();
+            }
+            let next = (1.0 + (1.0 + 4.0 * momentum * momentum).sqrt()) / 2.0;
+            let (uphill, largest) = self.step(energy, ((momentum - 1.0) / next) as f32);
+            momentum = if uphill > 0.0 { 1.0 } else { next };
+            if largest < self.last {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    fn take_bending(&mut self) {
+        let count = self.unknowns.len();
+        let (neighbors, terms, ahead, weights) = (self.neighbors, &self.terms, &self.ahead, &self.weights);
+        self.bending[..count].par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, rows)| {
             for (n, row) in (chunk * CHUNK..).zip(rows) {
-                *row = second_differences(n, &neighbors[n], &ahead, &weights[usize::from(unknowns[n].terms)]);
+                *row = second_differences(n, &neighbors[n], ahead, &weights[usize::from(terms[n])]);
             }
         });
-        let next = (1.0 + (1.0 + 4.0 * momentum * momentum).sqrt()) / 2.0;
-        let carry = ((momentum - 1.0) / next) as f32;
-        let moves: Vec<(f64, f32)> = unknowns
+    }
+
+    /// Slope of the variation by each second difference: what it differs by from those of the six neighbours.
+    fn take_variation(&mut self) {
+        let count = self.unknowns.len();
+        let (neighbors, terms, bending) = (self.neighbors, &self.terms, &self.bending);
+        let factors = self.rates.map(|rate| by_terms([rate; 8]));
+        self.variation[..count].par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, rows)| {
+            for (n, row) in (chunk * CHUNK..).zip(rows) {
+                let own = &bending[n];
+                *row = [0.0; 8];
+                for (direction, other) in neighbors[n][..6].iter().enumerate() {
+                    // Only between voxels that both have the term.
+                    let factor = &factors[direction / 2][usize::from(terms[n] & terms[*other as usize])];
+                    let other = &bending[*other as usize];
+                    (0..8).for_each(|term| row[term] += factor[term] * (own[term] - other[term]));
+                }
+            }
+        });
+    }
+
+    /// One step; returns how far it goes against the momentum and the largest change, mm.
+    fn step(&mut self, energy: Energy, carry: f32) -> (f64, f32) {
+        let count = self.unknowns.len();
+        let neighbors = self.neighbors;
+        let terms = if energy == Energy::Bending { &self.bending } else { &self.variation };
+        let moves: Vec<(f64, f32)> = self
+            .unknowns
             .par_chunks_mut(CHUNK)
-            .zip(ahead[..count].par_chunks_mut(CHUNK))
+            .zip(self.ahead[..count].par_chunks_mut(CHUNK))
             .enumerate()
             .map(|(chunk, (unknowns, ahead))| {
                 let (mut uphill, mut largest) = (0.0f64, 0.0f32);
                 for ((n, unknown), ahead) in (chunk * CHUNK..).zip(unknowns).zip(ahead) {
-                    let slope = bending_slope(n, &neighbors[n], &bending);
-                    let value = (*ahead - slope).clamp(unknown.low, unknown.high);
+                    let value = (*ahead - slope(n, &neighbors[n], terms)).clamp(unknown.low, unknown.high);
                     let change = value - unknown.value;
                     uphill += f64::from((*ahead - value) * change);
                     largest = largest.max(change.abs());
@@ -543,18 +571,13 @@ fn minimize_bending(
                 (uphill, largest)
             })
             .collect();
-        let uphill: f64 = moves.iter().map(|m| m.0).sum();
-        momentum = if uphill > 0.0 { 1.0 } else { next };
-        if moves.iter().all(|m| m.1 < last) {
-            break;
-        }
+        (moves.iter().map(|m| m.0).sum(), moves.iter().map(|m| m.1).fold(0.0, f32::max))
     }
-    Ok(())
 }
 
 /// Weighted second differences at a voxel: xx, yy, zz, xy, xz, yz.
 #[inline]
-fn second_differences(n: usize, neighbors: &[u32; 12], values: &[f32], weights: &[f32; 8]) -> [f32; 8] {
+fn second_differences(n: usize, neighbors: &[u32; 12], values: &[f32], weights: &Differences) -> Differences {
     let at = |d: usize| values[neighbors[d] as usize];
     let own = values[n];
     let [x, y, z] = [at(0), at(2), at(4)];
@@ -570,11 +593,11 @@ fn second_differences(n: usize, neighbors: &[u32; 12], values: &[f32], weights: 
     ]
 }
 
-/// Slope of the energy at a voxel: the transposed second differences.
+/// Slope of an energy at a voxel, from its slopes by second differences: these transposed.
 #[inline]
-fn bending_slope(n: usize, neighbors: &[u32; 12], bending: &[[f32; 8]]) -> f32 {
-    let at = |d: usize| &bending[neighbors[d] as usize];
-    let own = &bending[n];
+fn slope(n: usize, neighbors: &[u32; 12], terms: &[Differences]) -> f32 {
+    let at = |d: usize| &terms[neighbors[d] as usize];
+    let own = &terms[n];
     let [x, y, z] = [at(1), at(3), at(5)];
     at(0)[0] + x[0] + at(2)[1] + y[1] + at(4)[2] + z[2] - 2.0 * (own[0] + own[1] + own[2])
         + (own[3] - x[3] - y[3] + at(7)[3])
@@ -624,6 +647,27 @@ mod tests {
         // Measured 0.17; half a slice is 0.8 mm.
         assert!(worst < 0.25, "{worst}");
         assert!(value(&field, &image, 1, center).is_none());
+    }
+
+    #[test]
+    fn a_thin_rod_is_not_thinned() {
+        let axis = DVec3::new(0.8, 0.5, 0.33).normalize();
+        let (middle, radius) = (DVec3::new(14.2, 13.7, 14.4), 1.7);
+        let image =
+            image([28; 3], DVec3::ONE, |p| u16::from((p - middle).reject_from_normalized(axis).length() < radius));
+        let field = distances(&image, 1);
+        let (across, over) = axis.any_orthonormal_pair();
+        let mut errors = Vec::new();
+        for n in 0..400 {
+            let (along, turn) = (f64::from(n) * 0.05 - 10.0, f64::from(n) * 2.4);
+            let at = middle + axis * along + (across * turn.cos() + over * turn.sin()) * radius;
+            let (distance, gradient) = value(&field, &image, 1, at).expect("near the rod");
+            errors.push(distance / gradient.length());
+        }
+        let mean = |of: &dyn Fn(&f64) -> f64| errors.iter().map(of).sum::<f64>() / errors.len() as f64;
+        // Measured 0.068 and -0.018.
+        assert!(mean(&|e| e.abs()) < 0.1, "{}", mean(&|e| e.abs()));
+        assert!(mean(&|e| *e).abs() < 0.04, "{}", mean(&|e| *e));
     }
 
     #[test]
