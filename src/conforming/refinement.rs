@@ -19,8 +19,9 @@
 //!
 //! # Limits
 //! Where half the prediction exceeds the element or memory limits, or what the allocator grants, nothing is done and the
-//! estimate is in the error. A mesh that grows beyond its prediction stops at the limit: it is valid, coarser than asked
-//! for, and a finding says so.
+//! estimate is in the error; between the two, what is granted is a limit. The allocator knows the machine's memory and the
+//! limits of the process, not those of a control group. A mesh that reaches a limit stops there: it is valid, coarser
+//! than asked for, and a finding says so.
 
 use std::time::Instant;
 
@@ -131,6 +132,7 @@ pub fn refine(
         check_limits(options, predicted, "predicted")?;
     }
     check_memory(predicted / PREDICTION_MARGIN)?;
+    let limit = limit.min(granted_tets(predicted));
     figures.set("refinement.predicted_tets", predicted);
     // One block at the start instead of growth by doubling, which holds old and new rows at once.
     complex.try_reserve_tets(options.reserved_elements.min((1.1 * predicted) as usize))?;
@@ -286,11 +288,32 @@ fn tet_limit(options: &Options) -> usize {
 /// process, could never hold. No page of it is touched.
 fn check_memory(tets: f64) -> Result<()> {
     let bytes = tets * BYTES_PER_TET;
-    let mut probe: Vec<u8> = Vec::new();
-    if bytes >= isize::MAX as f64 || probe.try_reserve_exact(bytes as usize).is_err() {
+    if !is_granted(bytes) {
         return Err(Error::OutOfMemory { what: "the predicted mesh", bytes: bytes as u64 });
     }
     Ok(())
+}
+
+fn is_granted(bytes: f64) -> bool {
+    let mut probe: Vec<u8> = Vec::new();
+    bytes < isize::MAX as f64 && probe.try_reserve_exact(bytes as usize).is_ok()
+}
+
+/// Most bytes a tet that were seen with refinement, renumbering and improvement on two threads.
+const MOST_BYTES_PER_TET: f64 = 150.0;
+/// Share of the memory that the allocator grants at once that is taken; the rest is for what else runs.
+const MEMORY_SHARE: f64 = 0.75;
+
+/// How many tets the memory holds, where the predicted ones may not fit: refinement stops there with a valid mesh.
+fn granted_tets(predicted: f64) -> usize {
+    let mut bytes = PREDICTION_MARGIN * predicted * MOST_BYTES_PER_TET;
+    if is_granted(bytes) {
+        return usize::MAX;
+    }
+    while !is_granted(bytes) {
+        bytes *= MEMORY_SHARE;
+    }
+    (MEMORY_SHARE * bytes / MOST_BYTES_PER_TET) as usize
 }
 
 fn report_stop(complex: &TetComplex, limit: usize, context: &RunContext) {
@@ -512,4 +535,17 @@ fn nearest_corner(complex: &TetComplex, tet: TetId, point: DVec3) -> VertexId {
         if is_nearer { w } else { v }
     };
     nearer(nearer(a, b), nearer(c, d))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_allocator_refuses_is_a_limit() {
+        assert_eq!(granted_tets(1000.0), usize::MAX);
+        let most = granted_tets(1e15);
+        assert!(most > 1000 && (most as f64) < 1e15);
+        assert!(is_granted(most as f64 * MOST_BYTES_PER_TET) && !is_granted(f64::INFINITY));
+    }
 }

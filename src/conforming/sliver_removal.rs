@@ -24,7 +24,7 @@
 
 mod grown_cavity;
 
-pub use grown_cavity::plan_grown_insertion;
+pub use grown_cavity::{plan_fan_insertion, plan_grown_insertion};
 
 use glam::DVec3;
 

@@ -16,9 +16,11 @@
 //! No operation lowers the worst tet of what it touches; tets off the boundary are graded strictly
 //! ([`super::super::flip_criteria::strict`]).
 
+use glam::DVec3;
+
 use super::super::flip_criteria::{BiasedSine, STRICT_ANGLE, StrictInside, TetMeasure};
 use super::super::flips::{Accept, Outcome, plan_edge_removal, plan_face_removal, plan_vertex_removal};
-use super::super::sliver_removal::{InsertionLimits, plan_grown_insertion, plan_sliver_insertion};
+use super::super::sliver_removal::{InsertionLimits, plan_fan_insertion, plan_grown_insertion, plan_sliver_insertion};
 use super::super::spacing::Spacing;
 use super::{Job, Kit};
 use crate::error::Result;
@@ -40,6 +42,8 @@ const BAD_BELOW: f64 = 10.0;
 /// Factor by which a point must better the worst tet that goes where it need not reach an angle: a tet of 4 degrees is at
 /// 10 after at most four of them, so that thin places do not fill with points for the sake of little.
 const GAIN: f64 = 1.3;
+/// Share of its longest edge below which an edge of a bad tet is short: opposite to it angles are small.
+const SHORT_EDGE: f64 = 0.25;
 /// The angle that every new tet of all other insertions reaches, degrees.
 const FLOOR: f64 = 18.0;
 /// Distance that vertices keep from their neighbours where they may not crowd, in shares of their average size: with edges
@@ -211,6 +215,13 @@ impl TreatJob<'_> {
             let limits = InsertionLimits { floor: limits.floor.min(GAIN * grade), ..limits };
             (outcome, place) =
                 plan_grown_insertion(store, (tet, vertex), (limits, GAIN), &self.measure(), slivers, scratch);
+            let edge = shortest_edge(row.map(|v| store.point(v))).filter(|_| limits.spacing.is_free());
+            if let Some(ends) = edge.filter(|_| !matches!(outcome, Outcome::Accepted | Outcome::ClaimLost)) {
+                store.release_claims();
+                let asked = (limits, GAIN);
+                (outcome, place) =
+                    plan_fan_insertion(store, (tet, vertex), ends, asked, &self.measure(), slivers, scratch);
+            }
         }
         if outcome == Outcome::Accepted {
             store.set_point(vertex, place);
@@ -225,6 +236,14 @@ impl TreatJob<'_> {
     }
 }
 
+/// The shortest edge of a tet, where it is much shorter than the longest.
+fn shortest_edge(corners: [DVec3; 4]) -> Option<[usize; 2]> {
+    let length = |[i, j]: [usize; 2]| corners[i].distance(corners[j]);
+    let shortest = TET_EDGES.into_iter().min_by(|&e, &f| length(e).total_cmp(&length(f)))?;
+    let longest = TET_EDGES.into_iter().map(length).fold(0.0, f64::max);
+    (length(shortest) < SHORT_EDGE * longest).then_some(shortest)
+}
+
 impl Job for TreatJob<'_> {
     type Item = TetId;
 
@@ -235,10 +254,9 @@ impl Job for TreatJob<'_> {
             return Ok(if gone { Attempt::Done } else { Attempt::ClaimLost });
         }
         let row = store.vertices(tet);
-        let is_good =
-            row.contains(&VertexId::GHOST) || BiasedSine.grade(row.map(|v| store.point(v))) >= self.treatment.goal;
+        let before = if row.contains(&VertexId::GHOST) { f64::INFINITY } else { BiasedSine.grade(store.corners(row)) };
         store.release_claims();
-        if is_good {
+        if before >= self.treatment.goal {
             return Ok(Attempt::Done);
         }
         match self.reconnect(store, kit, tet)? {

@@ -15,7 +15,7 @@
 //! time and the point follows, because close to a surface most of the border may not be crossed.
 //!
 //! # Invariants
-//! Constrained faces bound the polyhedron; a tet whose vertex, constrained face or constrained edge would come to lie
+//! Constrained faces bound the polyhedron, and so may constrained edges on them; a tet whose vertex, constrained face or constrained edge would come to lie
 //! inside stays out.
 //!
 //! # Cost
@@ -28,9 +28,12 @@ use crate::conforming::flip_criteria::{TetMeasure, strict};
 use crate::conforming::flips::{FlipScratch, Outcome};
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::tet_store::TetStore;
+use crate::mesh::topology::ShellTet;
 
-/// Most tets of a grown polyhedron.
+/// Most tets that a polyhedron grows to from one.
 const MAX_GROWN: usize = 28;
+/// Most tets around the edge that a polyhedron begins with.
+const MAX_FAN: usize = 24;
 /// Tets that join without a better star before growth stops: a star that sees over an edge needs all tets around it.
 const PATIENCE: usize = 12;
 
@@ -62,16 +65,99 @@ pub fn plan_grown_insertion<S: TetStore + ?Sized, M: TetMeasure>(
         return (refusal, DVec3::ZERO);
     }
     scratch.cavity.clear();
-    scratch.refused.clear();
     scratch.cavity.push(tet);
-    let mut place = store.points_of(tet).iter().sum::<DVec3>() / 4.0;
+    let place = store.points_of(tet).iter().sum::<DVec3>() / 4.0;
+    grow_from(store, (vertex, place), (limits, gain), measure, scratch, flips)
+}
+
+/// The same, beginning with all tets around the edge between two local vertices of `tet` and a point beside it.
+pub fn plan_fan_insertion<S: TetStore + ?Sized, M: TetMeasure>(
+    store: &mut S,
+    (tet, vertex): (TetId, VertexId),
+    [a, b]: [usize; 2],
+    (limits, gain): (InsertionLimits<'_>, f64),
+    measure: &M,
+    scratch: &mut SliverScratch,
+    flips: &mut FlipScratch,
+) -> (Outcome, DVec3) {
+    if let Some(refusal) = super::claim_start(store, tet, vertex) {
+        return (refusal, DVec3::ZERO);
+    }
+    let outcome = collect_fan(store, ShellTet::new(tet, a, b), &mut scratch.cavity);
+    if outcome != Outcome::Accepted {
+        return (outcome, DVec3::ZERO);
+    }
+    collect_border(store, scratch);
+    if !scratch.keeps_all(store) {
+        return (Outcome::Constrained, DVec3::ZERO);
+    }
+    let row = store.vertices(tet);
+    let (p, q) = (store.point(row[a]), store.point(row[b]));
+    let middle = 0.5 * (p + q);
+    let (mut towards, mut nearest) = (DVec3::ZERO, f64::INFINITY);
+    for &around in &scratch.cavity {
+        let corners = store.points_of(around);
+        towards += (corners.iter().sum::<DVec3>() / 4.0 - middle).normalize_or_zero();
+        let others = corners.into_iter().filter(|c| *c != p && *c != q);
+        nearest = others.map(|c| c.distance(middle)).fold(nearest, f64::min);
+    }
+    // Between the lengths of the edge and of the tets: the next point may halve what is left in the same way.
+    let place = middle + (p.distance(q) * nearest).sqrt() * towards.normalize_or_zero();
+    grow_from(store, (vertex, place), (limits, gain), measure, scratch, flips)
+}
+
+/// Claims and lists the tets around an edge as far as constrained faces and the hull let pass.
+fn collect_fan<S: TetStore + ?Sized>(store: &mut S, start: ShellTet, fan: &mut Vec<TetId>) -> Outcome {
+    fan.clear();
+    fan.push(start.tet);
+    let label = store.label(start.tet);
+    for forward in [true, false] {
+        let mut current = start;
+        loop {
+            let side = TetFace::new(current.tet, if forward { current.c } else { current.d });
+            let next = if forward { current.next(store) } else { current.previous(store) };
+            let Some(next) = next.filter(|_| !store.is_face_constrained(side)) else { break };
+            if next.tet == start.tet {
+                return Outcome::Accepted; // all round
+            }
+            let row = store.vertices(next.tet);
+            if row.contains(&VertexId::GHOST) {
+                break;
+            }
+            if fan.len() == MAX_FAN || store.label(next.tet) != label {
+                return Outcome::NotApplicable;
+            }
+            if !store.try_claim_all(&row) {
+                return Outcome::ClaimLost;
+            }
+            fan.push(next.tet);
+            current = next;
+        }
+    }
+    Outcome::Accepted
+}
+
+/// Grows the polyhedron in the scratch, whose tets are claimed, and the place of the point with it.
+fn grow_from<S: TetStore + ?Sized, M: TetMeasure>(
+    store: &mut S,
+    (vertex, mut place): (VertexId, DVec3),
+    (limits, gain): (InsertionLimits<'_>, f64),
+    measure: &M,
+    scratch: &mut SliverScratch,
+    flips: &mut FlipScratch,
+) -> (Outcome, DVec3) {
+    scratch.refused.clear();
+    let tet = scratch.cavity[0];
+    let most = MAX_GROWN + scratch.cavity.len() - 1;
+    let graded = |store: &S, tet: TetId| {
+        let grade = measure.grade(store.points_of(tet));
+        if measure.is_strict(&store.vertices(tet)) { strict(grade) } else { grade }
+    };
     let mut best: Option<Best> = None;
-    let mut old_grade = f64::INFINITY;
+    let mut old_grade = scratch.cavity.iter().map(|&tet| graded(store, tet)).fold(f64::INFINITY, f64::min);
     let mut waited = 0;
     loop {
-        let newest = scratch.cavity[scratch.cavity.len() - 1];
-        let grade = measure.grade(store.points_of(newest));
-        old_grade = old_grade.min(if measure.is_strict(&store.vertices(newest)) { strict(grade) } else { grade });
+        old_grade = old_grade.min(graded(store, scratch.cavity[scratch.cavity.len() - 1]));
         collect_border(store, scratch);
         scratch.fill_star(store, measure);
         let (moved, mut grade) = scratch.star.search_steps(measure, place, FIRST_STEPS);
@@ -86,7 +172,7 @@ pub fn plan_grown_insertion<S: TetStore + ?Sized, M: TetMeasure>(
         } else {
             waited += 1;
         }
-        if waited > PATIENCE || scratch.cavity.len() == MAX_GROWN {
+        if waited > PATIENCE || scratch.cavity.len() == most {
             break;
         }
         match let_next_in(store, measure, place, scratch) {
@@ -139,4 +225,52 @@ fn let_next_in<S: TetStore + ?Sized, M: TetMeasure>(
         scratch.refused.push(other.tet());
     }
     Outcome::Constrained
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::conforming::delaunay_kernel::{DelaunayOptions, tetrahedralize};
+    use crate::conforming::flip_criteria::BiasedSine;
+    use crate::conforming::flips::commit;
+    use crate::conforming::spacing::Spacing;
+    use crate::context::RunContext;
+    use crate::index::Label;
+    use crate::mesh::tet_complex::TetComplex;
+
+    #[test]
+    fn a_point_close_to_a_short_edge_makes_its_tets_better() {
+        // A short edge on one side of a box, whose other edges are fifty times as long.
+        let mut points = vec![DVec3::new(0.0, 0.0, -0.01), DVec3::new(0.0, 0.0, 0.01)];
+        points.extend([[-1.0, -0.9], [-0.9, 1.1], [1.0, -1.1], [0.9, 1.0]].map(|[x, z]| DVec3::new(x, 0.0, z)));
+        points.extend([[-1.0, -1.0], [-1.1, 1.0], [1.1, -0.9], [1.0, 1.0]].map(|[x, z]| DVec3::new(x, 1.5, z)));
+        points.extend([[0.1, 0.8, 0.5], [-0.2, 0.9, -0.4]].map(DVec3::from));
+        let options = DelaunayOptions::default();
+        let context = RunContext::with_threads(1).unwrap();
+        let mut complex = tetrahedralize(&points, &options, &context).unwrap().complex;
+        let tets: Vec<TetId> = complex.finite_tets().collect();
+        tets.into_iter().for_each(|tet| complex.set_label(tet, Label(1)));
+        let worst = |complex: &TetComplex| {
+            let has_edge = |row: [VertexId; 4]| [0, 1].iter().all(|&v| row.contains(&VertexId(v)));
+            let tets: Vec<_> = complex.finite_tets().filter(|&t| has_edge(complex.vertices(t))).collect();
+            let grade = |&t: &TetId| BiasedSine.grade(complex.points_of(t));
+            let worst = tets.iter().copied().min_by(|t, u| grade(t).total_cmp(&grade(u)));
+            worst.map(|tet| (tet, grade(&tet)))
+        };
+        let (tet, before) = worst(&complex).unwrap();
+        assert!(before < 0.05);
+        let spare = complex.push_point(DVec3::ZERO).unwrap();
+        let limits = InsertionLimits { floor: 0.0, spacing: Spacing::FREE, size: 1.0, every_edge: true };
+        let (mut scratch, mut flips) = (SliverScratch::default(), FlipScratch::default());
+        let ends = [0, 1].map(|v| complex.local_vertex(tet, VertexId(v)).unwrap());
+        let (outcome, place) =
+            plan_fan_insertion(&mut complex, (tet, spare), ends, (limits, 2.0), &BiasedSine, &mut scratch, &mut flips);
+        assert_eq!(outcome, Outcome::Accepted);
+        complex.set_point(spare, place);
+        commit(&mut complex, &mut flips).unwrap();
+        complex.check_invariants().unwrap();
+        complex.check_orientation().unwrap();
+        // On the end of the mesh, the edge stays.
+        assert!(worst(&complex).unwrap().1 > 2.0 * before);
+    }
 }
