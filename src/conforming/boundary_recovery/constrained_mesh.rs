@@ -263,8 +263,16 @@ impl ConstrainedMesh {
         }
         shape.segments.sort_unstable();
         shape.segments.dedup();
-        let front = &shape.front;
-        shape.segments.retain(|[u, v]| !front.iter().any(|face| face.contains(u) && face.contains(v)));
+        if shape.segments.len() * shape.front.len() < FEW_TESTS {
+            let front = &shape.front;
+            shape.segments.retain(|[u, v]| !front.iter().any(|face| face.contains(u) && face.contains(v)));
+        } else {
+            // The front is closed: every edge is met in both directions.
+            let ascending = |&[a, b, c]: &[VertexId; 3]| [[a, b], [b, c], [c, a]].into_iter().filter(|e| e[0] < e[1]);
+            let mut edges: Vec<EdgeKey> = shape.front.iter().flat_map(ascending).collect();
+            edges.sort_unstable();
+            shape.segments.retain(|edge| edges.binary_search(edge).is_err());
+        }
         shape
     }
 
@@ -377,6 +385,9 @@ fn packed(face: [VertexId; 3], place: usize) -> u128 {
 
 /// Most tets that are searched one by one: that is faster than hashing.
 const FEW_TETS: usize = 24;
+
+/// Tests of segments against faces, up to which sorting the edges costs more.
+const FEW_TESTS: usize = 400;
 
 /// A set of tets.
 enum TetSet<'a> {
