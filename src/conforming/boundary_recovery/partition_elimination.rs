@@ -127,8 +127,7 @@ fn undo_after_loosening(
     effort: &Effort,
     volume: &mut Vec<VertexId>,
 ) -> Result<bool> {
-    let whole: FxHashMap<FaceKey, [VertexId; 3]> =
-        parts_of(steiner, split).iter().map(|&(key, face, _)| (key, face)).collect();
+    let whole = whole_faces(steiner, split);
     let ball = mesh.ball(steiner);
     let Some(sectors) = sectors_of(mesh, steiner, &ball, &whole) else { return Ok(false) };
     let mut tries = effort.tries;
@@ -160,8 +159,7 @@ fn undo_after_lifting(
     split: &Split,
     volume: &mut Vec<VertexId>,
 ) -> Result<bool> {
-    let whole: FxHashMap<FaceKey, [VertexId; 3]> =
-        parts_of(steiner, split).iter().map(|&(key, face, _)| (key, face)).collect();
+    let whole = whole_faces(steiner, split);
     for _ in 0..MOST_LIFTED {
         let ball = mesh.ball(steiner);
         let Some(sectors) = sectors_of(mesh, steiner, &ball, &whole) else { return Ok(false) };
@@ -291,9 +289,13 @@ fn parts_of(steiner: VertexId, split: &Split) -> Vec<(FaceKey, [VertexId; 3], u3
     }
 }
 
+/// For each subface a split made the whole face it is part of.
+fn whole_faces(steiner: VertexId, split: &Split) -> FxHashMap<FaceKey, [VertexId; 3]> {
+    parts_of(steiner, split).iter().map(|&(key, face, _)| (key, face)).collect()
+}
+
 fn undo(mesh: &mut ConstrainedMesh, steiner: VertexId, split: &Split, volume: &mut Vec<VertexId>) -> Result<bool> {
-    let parts = parts_of(steiner, split);
-    let whole: FxHashMap<FaceKey, [VertexId; 3]> = parts.iter().map(|&(key, face, _)| (key, face)).collect();
+    let whole = whole_faces(steiner, split);
     let ball = mesh.ball(steiner);
     let count = mesh.complex.points().len();
     let Some(sectors) = sectors_of(mesh, steiner, &ball, &whole) else { return Ok(false) };
