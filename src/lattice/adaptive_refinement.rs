@@ -140,7 +140,8 @@ impl Rounds<'_> {
             let mut marked = self.mark(lattice, &elements, &found, &deficit, finest);
             if !marked.contains(&true) {
                 let by_centroid = elements.labels.clone();
-                let relabelled = self.relabel(lattice, &mut elements, |_| false)?;
+                let neighbors = self.neighbors(lattice, &elements)?;
+                let relabelled = self.relabel(&mut elements, &neighbors, |_| false);
                 found = self.count(lattice, &elements)?;
                 let after = self.deficit(&found);
                 if after.is_worse_than(&deficit) {
@@ -148,7 +149,7 @@ impl Rounds<'_> {
                     if !marked.contains(&true) {
                         // At the finest level: keep the elements that hold voxels of their own label.
                         elements.labels = by_centroid;
-                        self.relabel_within_fidelity(lattice, &mut elements)?;
+                        self.relabel_within_fidelity(lattice, &mut elements, &neighbors);
                         found = self.count(lattice, &elements)?;
                     }
                 }
@@ -165,9 +166,8 @@ impl Rounds<'_> {
                     if self.input.region_threshold.is_some() {
                         let limit = RefinementLimit { finest, rounds_left: topology_rounds };
                         topology_rounds = topology_rounds.saturating_sub(1);
-                        marked = self.make_manifold(lattice, &mut elements, &deficit, limit)?;
+                        marked = self.make_manifold(lattice, &mut elements, neighbors, &deficit, limit)?;
                     } else if self.smooths {
-                        let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len())?;
                         self.relabel_pinches(lattice, &mut elements, &neighbors, &deficit)?;
                         self.carve_pinches(lattice, &mut elements, neighbors)?;
                     }
@@ -206,19 +206,22 @@ impl Rounds<'_> {
         self.report.timed("marking", || mark_leaves(lattice, elements, found, deficit, targets, finest))
     }
 
+    fn neighbors(&mut self, lattice: &RedGreenLattice, elements: &Elements) -> Result<Vec<[u32; 4]>> {
+        let vertices = lattice.vertices.positions.len();
+        self.report.timed("adjacency", || neighbors_of(&elements.tets, vertices))
+    }
+
     fn relabel(
         &mut self,
-        lattice: &RedGreenLattice,
         elements: &mut Elements,
+        neighbors: &[[u32; 4]],
         is_kept: impl Fn(usize) -> bool,
-    ) -> Result<Relabelled> {
-        let vertices = lattice.vertices.positions.len();
-        let neighbors = self.report.timed("adjacency", || neighbors_of(&elements.tets, vertices))?;
-        Ok(self.report.timed("relabelling", || relabel_for_smoothing(&mut elements.labels, &neighbors, is_kept)))
+    ) -> Relabelled {
+        self.report.timed("relabelling", || relabel_for_smoothing(&mut elements.labels, neighbors, is_kept))
     }
 
     /// Relabels only elements that hold no voxel centre of their own label.
-    fn relabel_within_fidelity(&mut self, lattice: &RedGreenLattice, elements: &mut Elements) -> Result<()> {
+    fn relabel_within_fidelity(&mut self, lattice: &RedGreenLattice, elements: &mut Elements, neighbors: &[[u32; 4]]) {
         use crate::lattice::voxel_fidelity::for_each_voxel;
         use rayon::prelude::*;
         let holds: Vec<bool> = elements
@@ -230,8 +233,7 @@ impl Rounds<'_> {
                 any
             })
             .collect();
-        self.relabel(lattice, elements, |e| holds[e])?;
-        Ok(())
+        self.relabel(elements, neighbors, |e| holds[e]);
     }
 
     /// Relabels pinched elements where that costs neither fidelity nor a component.
@@ -264,11 +266,11 @@ impl Rounds<'_> {
         &mut self,
         lattice: &mut RedGreenLattice,
         elements: &mut Elements,
+        neighbors: Vec<[u32; 4]>,
         before: &Deficit,
         limit: RefinementLimit,
     ) -> Result<Vec<bool>> {
         let vertices = lattice.vertices.positions.len();
-        let neighbors = self.report.timed("adjacency", || neighbors_of(&elements.tets, vertices))?;
         let unchanged = elements.labels.clone();
         let (threshold, labels) = (self.input.region_threshold.unwrap_or(0.0), self.input.values.len());
         relabel_loose_regions(lattice, elements, &neighbors, labels, threshold);

@@ -10,7 +10,8 @@
 //!    transformations are tried on what is still low; in the last rounds surface vertices are optimised too.
 //!
 //! Last passes take what is still low once more, and let its surface vertices off their surface by a little more each time.
-//! Then edges much shorter than those around them are contracted ([`short_edges`](crate::lattice::short_edges)).
+//! Edges much shorter than those around them are contracted in between and then ([`short_edges`](crate::lattice::short_edges));
+//! in one round surface edges are split that cut off what bends ([`chord_splits`](crate::lattice::chord_splits)).
 //! Where tets stay below the least score, smoothing is taken back ([`local_undo`](crate::lattice::local_undo)).
 //!
 //! # Source
@@ -36,6 +37,7 @@ use crate::geometry::tetrahedron::volume6;
 use crate::image::label_image::LabelImage;
 use crate::lattice::boundary_targets::SourcePoints;
 use crate::lattice::candidate_mesh::CandidateMesh;
+use crate::lattice::chord_splits::split_chords;
 use crate::lattice::element_score::{Ball, Part, Threshold, tet_fails};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::local_transformations::{TransformationCounts, loosen_scaffold, transform};
@@ -57,6 +59,24 @@ const ROUNDS: usize = RELAXATION_BOUNDS.len();
 
 /// First round that may transform.
 const FIRST_TRANSFORMING_ROUND: usize = 1;
+
+/// Round in which surface edges are split where they cut off what bends, and how far off their middles are then, in voxels of
+/// the smallest spacing. On vessels of 1.5 to 3 voxels radius in walls of 1.4 that leaves 0.096 voxel in the mean, 0.102 without;
+/// 0.35 in three rounds leaves 0.093 and takes a tenth more time on brain lobes.
+const CHORD_ROUND: usize = 3;
+const CHORD: f64 = 0.4;
+
+/// Round after which edges shorter than this share of those around them are contracted: carved surfaces are full of them. The
+/// volumes that it costs come back in the rounds that follow.
+const SHORT_EDGE_ROUND: usize = 3;
+const COARSENED: f64 = 0.35;
+
+/// Share of the longest edge of a tet below which its shortest makes it a needle, at the end: a lattice tet has 0.87, its
+/// greens 0.5 and more.
+const NEEDLE: f64 = 0.2;
+
+/// Sweeps over needles.
+const NEEDLE_PASSES: usize = 3;
 
 /// Rounds at the end in which surface vertices may yield to quality.
 const YIELDING_ROUNDS: usize = 2;
@@ -155,7 +175,8 @@ pub fn improve(
 ) -> Result<ImprovementSummary> {
     let mut summary = ImprovementSummary::default();
     let wanted_volumes = voxel_volumes(image);
-    let slack = SLACK * image.grid().spacing().min_element();
+    let voxel = image.grid().spacing().min_element();
+    let slack = SLACK * voxel;
     let wanted = WANTED.max(options.min_dihedral_angle);
     let mut work = ImprovementMesh::new(mesh, sources, surface);
     summary.low_before = low_tets(&work, wanted).len();
@@ -172,16 +193,23 @@ pub fn improve(
         if may_transform {
             loosen_all(&mut work);
         }
+        if may_transform && round == CHORD_ROUND {
+            work.refresh_stars();
+            summary.counts.chords += split_chords(&mut work, CHORD * voxel, RELAXATION_BOUNDS[round]);
+        }
         raise_low_tets(&mut work, low, &effort, may_transform.then_some(&mut summary.counts), context)?;
+        if may_transform && round == SHORT_EDGE_ROUND {
+            summary.counts.short_edges += contract_short_edges(&mut work, wanted, COARSENED, 1);
+        }
         if round + 1 < ROUNDS {
             update_offsets(&mut work, &wanted_volumes, image);
         }
     }
     advance(ROUNDS);
-    raise_last(&mut work, options, image.grid().spacing().min_element(), &mut summary.counts, context)?;
+    raise_last(&mut work, options, voxel, &mut summary.counts, context)?;
     advance(ROUNDS + 1);
     if options.transformations == Transformations::Local {
-        summary.counts.short_edges = contract_short_edges(&mut work, wanted);
+        summary.counts.short_edges += contract_short_edges(&mut work, wanted, NEEDLE, NEEDLE_PASSES);
     }
     summary.undone =
         undo_low(&mut work, lattice, LEAST.max(options.min_dihedral_angle), slack, &mut summary.counts, context)?;

@@ -24,6 +24,8 @@
 //! # Invariants
 //! The mesh conforms after each call; the lowest score of the tets that were replaced has risen by `LEAST_GAIN` at least.
 
+use glam::DVec3;
+
 use crate::index::Label;
 use crate::lattice::element_score::{Part, Threshold, part_fails, tet_score};
 use crate::lattice::improvement_mesh::{ImprovementMesh, part_of};
@@ -59,6 +61,8 @@ pub struct TransformationCounts {
     pub turned_edges: usize,
     /// Short edges contracted.
     pub short_edges: usize,
+    /// Surface edges split for what they cut off.
+    pub chords: usize,
 }
 
 /// Tries the transformations of a tet in order of their cost; returns whether one was made.
@@ -330,7 +334,7 @@ fn lies_along_line(mesh: &ImprovementMesh, from: u32, to: u32, near: &[u32]) -> 
 
 /// Sides of a vertex in the middle of an edge. An edge between two vertices on a border plane lies in it, and its middle has
 /// to stay there, also where only the scaffold has faces in the plane: the outside of both may not move.
-fn sides_of_edge(mesh: &ImprovementMesh, a: u32, b: u32, shell: &[u32]) -> Vec<Side> {
+pub fn sides_of_edge(mesh: &ImprovementMesh, a: u32, b: u32, shell: &[u32]) -> Vec<Side> {
     if !mesh.is_surface_edge(a, b, shell) {
         return Vec::new();
     }
@@ -367,15 +371,27 @@ fn split_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, slack: f64) -> bool {
         let Some(place) = mesh.surface.project(middle, &sides, 0.5 * length) else { return false };
         middle = place;
     }
-    let old = mesh.rows(&shell);
-    let m = mesh.add_vertex(middle, sides);
+    insert_in_edge(mesh, [a, b], &shell, middle, sides, |mesh, m| optimize_vertex(mesh, m, ENOUGH, slack) > needed)
+}
+
+/// Splits an edge, whose tets are `shell`, by a new vertex of the given sides; keeps it where `is_good` says so.
+pub fn insert_in_edge(
+    mesh: &mut ImprovementMesh,
+    [a, b]: [u32; 2],
+    shell: &[u32],
+    place: DVec3,
+    sides: Vec<Side>,
+    is_good: impl FnOnce(&mut ImprovementMesh, u32) -> bool,
+) -> bool {
+    let old = mesh.rows(shell);
+    let m = mesh.add_vertex(place, sides);
     let mut new = Vec::with_capacity(2 * old.len());
     for (tet, label) in &old {
         new.push((tet.map(|v| if v == a { m } else { v }), *label));
         new.push((tet.map(|v| if v == b { m } else { v }), *label));
     }
-    mesh.replace(&shell, &new);
-    if optimize_vertex(mesh, m, ENOUGH, slack) > needed {
+    mesh.replace(shell, &new);
+    if is_good(mesh, m) {
         return true;
     }
     mesh.take_back();
@@ -459,7 +475,6 @@ mod tests {
     use crate::lattice::scaffold::Scaffold;
     use crate::lattice::subvoxel_surface::SubvoxelSurface;
     use crate::lattice::test_images::voxel_image;
-    use glam::DVec3;
 
     #[test]
     fn the_middle_of_an_edge_in_a_border_plane_stays_there_where_only_the_scaffold_has_faces_in_it() {

@@ -23,6 +23,7 @@ pub mod border_clipping;
 pub mod boundary_targets;
 pub mod candidate_mesh;
 pub mod change_log;
+pub mod chord_splits;
 pub mod duplicated_interfaces;
 pub mod elastic_model;
 pub mod element_labels;

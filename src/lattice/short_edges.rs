@@ -1,10 +1,10 @@
 //! Edges much shorter than those around them are contracted where no angle pays for it.
 //!
 //! # Method
-//! Tets whose shortest edge is less than `SHORT` times their longest are listed, the shortest edges first. Each such edge is
+//! Tets whose shortest edge is less than a share of their longest are listed, the shortest edges first. Each such edge is
 //! contracted to either of its ends, when the changed tets score as high as the wanted score or as the tets before, whichever
 //! is less, and the surfaces allow it ([`contract_edge`]). Where they do not, its ends move apart: an inner one towards the
-//! middle of its ball, one on a surface along that, as far as the same scores allow. `PASSES` sweeps, after the first only over
+//! middle of its ball, one on a surface along that, as far as the same scores allow. A few sweeps, after the first only over
 //! tets near those that changed.
 //!
 //! Angles alone do not see such edges: a needle has good ones. A solver does: the shortest edge sets the step in time of an
@@ -21,17 +21,11 @@ use crate::lattice::local_transformations::contract_edge;
 use crate::lattice::vertex_optimization::{plan_centering, plan_relaxation};
 use crate::mesh::numbering::TET_EDGES;
 
-/// Share of the longest edge of a tet below which its shortest is short: a lattice tet has 0.87, its greens 0.5 and more.
-const SHORT: f64 = 0.2;
-
-/// Sweeps over the short edges.
-const PASSES: usize = 3;
-
-/// Contracts short edges; returns how many.
-pub fn contract_short_edges(mesh: &mut ImprovementMesh, wanted: f64) -> usize {
+/// Contracts edges below the share `short` of the longest in their tet, in at most `passes` sweeps; returns how many.
+pub fn contract_short_edges(mesh: &mut ImprovementMesh, wanted: f64, short: f64, passes: usize) -> usize {
     let mut contracted = 0;
-    let mut edges = short_edges(mesh, (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096));
-    for pass in 1..=PASSES {
+    let mut edges = short_edges(mesh, short, (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096));
+    for pass in 1..=passes {
         // What changed nowhere near would fail again.
         let mut touched: Vec<u32> = Vec::new();
         for (_, [a, b]) in edges {
@@ -48,17 +42,17 @@ pub fn contract_short_edges(mesh: &mut ImprovementMesh, wanted: f64) -> usize {
                     .extend([a, b].iter().zip(places).filter(|(v, p)| mesh.points[**v as usize] != *p).map(|(v, _)| v));
             }
         }
-        if pass == PASSES || touched.is_empty() {
+        if pass == passes || touched.is_empty() {
             break;
         }
         let near: Vec<u32> = touched.iter().flat_map(|v| mesh.ball(*v)).flat_map(|t| mesh.tets[*t as usize]).collect();
-        edges = short_edges(mesh, mesh.tets_of(near).into_par_iter());
+        edges = short_edges(mesh, short, mesh.tets_of(near).into_par_iter());
     }
     contracted
 }
 
 /// Square of the length and ends of the short edges of some tets, the shortest first.
-fn short_edges(mesh: &ImprovementMesh, tets: impl ParallelIterator<Item = u32>) -> Vec<(f64, [u32; 2])> {
+fn short_edges(mesh: &ImprovementMesh, short: f64, tets: impl ParallelIterator<Item = u32>) -> Vec<(f64, [u32; 2])> {
     let short_edge = |t: u32| {
         let tet = mesh.tets[t as usize];
         let corners = mesh.corners(t);
@@ -67,7 +61,7 @@ fn short_edges(mesh: &ImprovementMesh, tets: impl ParallelIterator<Item = u32>) 
         let (length, [a, b]) =
             lengths.into_iter().zip(TET_EDGES).fold((f64::INFINITY, [0, 1]), |l, r| if r.0 < l.0 { r } else { l });
         let [a, b] = [tet[a], tet[b]];
-        (length < SHORT * SHORT * longest).then(|| (length, [a.min(b), a.max(b)]))
+        (length < short * short * longest).then(|| (length, [a.min(b), a.max(b)]))
     };
     let mesh_tets = tets.filter(|t| mesh.part(*t) == Part::Mesh && mesh.is_live(*t));
     let mut edges: Vec<(f64, [u32; 2])> = mesh_tets.filter_map(short_edge).collect();
@@ -138,7 +132,7 @@ mod tests {
         let mut work = ImprovementMesh::new(&mut mesh, &SourcePoints::default(), surface);
         // Without sources no vertex is on a surface: those of the outside are held instead.
         [0, 3, 4, 5, 6, 7].into_iter().for_each(|v: usize| work.fixed[v] = true);
-        assert_eq!(contract_short_edges(&mut work, 15.0), 1);
+        assert_eq!(contract_short_edges(&mut work, 15.0, 0.2, 3), 1);
         work.finish(&mut mesh);
         assert_eq!((mesh.points.len(), mesh.tets.len()), (7, 8));
         let volume: f64 =

@@ -113,6 +113,7 @@ pub fn smooth(
     report.set("improvement.face_exchanges", result.counts.face_exchanges as f64);
     report.set("improvement.contractions", result.counts.contractions as f64);
     report.set("improvement.splits", result.counts.splits as f64);
+    report.set("improvement.chords", result.counts.chords as f64);
     report.set("improvement.turned_edges", result.counts.turned_edges as f64);
     report.set("improvement.short_edges", result.counts.short_edges as f64);
     Ok(points)
