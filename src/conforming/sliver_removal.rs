@@ -24,7 +24,7 @@
 
 mod grown_cavity;
 
-pub use grown_cavity::{plan_fan_insertion, plan_grown_insertion};
+pub use grown_cavity::plan_grown_insertion;
 
 use glam::DVec3;
 
@@ -371,7 +371,7 @@ mod tests {
             let (mut scratch, mut flips) = (SliverScratch::default(), FlipScratch::default());
             let limits = (InsertionLimits { floor: 1.3 * grade, ..FREE }, 1.3);
             let (outcome, place) =
-                plan_grown_insertion(&mut complex, (tet, spare), limits, &BiasedSine, &mut scratch, &mut flips);
+                plan_grown_insertion(&mut complex, (tet, spare), None, limits, &BiasedSine, &mut scratch, &mut flips);
             if outcome != Outcome::Accepted {
                 continue;
             }
@@ -409,6 +409,7 @@ mod tests {
                 let (outcome, place) = plan_grown_insertion(
                     &mut complex,
                     (tet, spare),
+                    None,
                     (limits, 1.3),
                     &BiasedSine,
                     &mut scratch,

@@ -331,7 +331,7 @@ impl Rounds<'_> {
             if carved == 0 {
                 break;
             }
-            neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len())?;
+            neighbors = self.neighbors(lattice, elements)?;
         }
         Ok(neighbors)
     }

@@ -28,7 +28,6 @@ use crate::index::Label;
 use crate::lattice::element_score::Threshold;
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::local_transformations::{insert_in_edge, sides_of_edge};
-use crate::lattice::surface_stars::SurfaceStars;
 
 /// Parts of the way from the middle of the edge to the surface that are tried.
 const WAY: [f64; 5] = [1.0, 0.8, 0.6, 0.4, 0.2];
@@ -39,15 +38,15 @@ const REACH: f64 = 0.75;
 /// Splits surface edges whose middle is off by more than `tolerance` (mm); `bound` is the score that may be spent, degrees. The
 /// stars of the mesh are up to date. Returns how many were split.
 pub fn split_chords(mesh: &mut ImprovementMesh, tolerance: f64, bound: f64) -> usize {
-    let far = chords(mesh, mesh.stars(), tolerance);
+    let far = chords(mesh, tolerance);
     far.into_iter().filter(|(_, [a, b])| split_chord(mesh, *a, *b, bound)).count()
 }
 
 /// How far off and ends of the edges to be split, the farthest first.
-fn chords(mesh: &ImprovementMesh, stars: &SurfaceStars, tolerance: f64) -> Vec<(f64, [u32; 2])> {
+fn chords(mesh: &ImprovementMesh, tolerance: f64) -> Vec<(f64, [u32; 2])> {
     let label = |t: u32| mesh.labels[t as usize];
     let of_vertex = |v: u32| {
-        let star = stars.of(v).unwrap_or(&[]);
+        let star = mesh.stars().of(v).unwrap_or(&[]);
         // Each edge at its smaller vertex, in the face that runs along it.
         star.iter().filter(move |face| face.others[0] > v).filter_map(move |face| {
             let w = face.others[0];

@@ -477,8 +477,8 @@ struct Descent<'a> {
     variation: Vec<Differences>,
     /// Weights of second differences by terms.
     weights: [Differences; 64],
-    /// Weights of differences between neighbours along each axis, divided by their steepest curvature.
-    rates: [f32; 3],
+    /// Weights of differences between neighbours along each axis, divided by their steepest curvature, by common terms.
+    rates: [[Differences; 64]; 3],
     /// A step that moves no voxel by more is the last, mm.
     last: f32,
 }
@@ -492,7 +492,7 @@ impl<'a> Descent<'a> {
             bending: vec![[0.0; 8]; unknowns.len() + 1],
             variation: vec![[0.0; 8]; unknowns.len() + 1],
             weights: by_terms(bending_weights(spacing)),
-            rates: (inverse / (4.0 * inverse.element_sum())).to_array().map(|r| r as f32),
+            rates: (inverse / (4.0 * inverse.element_sum())).to_array().map(|rate| by_terms([rate as f32; 8])),
             last: LAST_STEP * spacing.min_element() as f32,
             unknowns,
             neighbors,
@@ -532,17 +532,16 @@ impl<'a> Descent<'a> {
     /// Slope of the variation by each second difference: what it differs by from those of the six neighbours.
     fn take_variation(&mut self) {
         let count = self.unknowns.len();
-        let (neighbors, terms, bending) = (self.neighbors, &self.terms, &self.bending);
-        let factors = self.rates.map(|rate| by_terms([rate; 8]));
+        let (neighbors, terms, bending, rates) = (self.neighbors, &self.terms, &self.bending, &self.rates);
         self.variation[..count].par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, rows)| {
             for (n, row) in (chunk * CHUNK..).zip(rows) {
                 let own = &bending[n];
                 *row = [0.0; 8];
                 for (direction, other) in neighbors[n][..6].iter().enumerate() {
                     // Only between voxels that both have the term.
-                    let factor = &factors[direction / 2][usize::from(terms[n] & terms[*other as usize])];
+                    let rate = &rates[direction / 2][usize::from(terms[n] & terms[*other as usize])];
                     let other = &bending[*other as usize];
-                    (0..8).for_each(|term| row[term] += factor[term] * (own[term] - other[term]));
+                    (0..8).for_each(|term| row[term] += rate[term] * (own[term] - other[term]));
                 }
             }
         });

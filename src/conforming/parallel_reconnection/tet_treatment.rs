@@ -20,7 +20,7 @@ use glam::DVec3;
 
 use super::super::flip_criteria::{BiasedSine, STRICT_ANGLE, StrictInside, TetMeasure};
 use super::super::flips::{Accept, Outcome, plan_edge_removal, plan_face_removal, plan_vertex_removal};
-use super::super::sliver_removal::{InsertionLimits, plan_fan_insertion, plan_grown_insertion, plan_sliver_insertion};
+use super::super::sliver_removal::{InsertionLimits, plan_grown_insertion, plan_sliver_insertion};
 use super::super::spacing::Spacing;
 use super::{Job, Kit};
 use crate::error::Result;
@@ -213,14 +213,14 @@ impl TreatJob<'_> {
         if is_bad && !matches!(outcome, Outcome::Accepted | Outcome::ClaimLost) {
             store.release_claims();
             let limits = InsertionLimits { floor: limits.floor.min(GAIN * grade), ..limits };
+            let asked = (limits, GAIN);
             (outcome, place) =
-                plan_grown_insertion(store, (tet, vertex), (limits, GAIN), &self.measure(), slivers, scratch);
+                plan_grown_insertion(store, (tet, vertex), None, asked, &self.measure(), slivers, scratch);
             let edge = shortest_edge(row.map(|v| store.point(v))).filter(|_| limits.spacing.is_free());
             if let Some(ends) = edge.filter(|_| !matches!(outcome, Outcome::Accepted | Outcome::ClaimLost)) {
                 store.release_claims();
-                let asked = (limits, GAIN);
                 (outcome, place) =
-                    plan_fan_insertion(store, (tet, vertex), ends, asked, &self.measure(), slivers, scratch);
+                    plan_grown_insertion(store, (tet, vertex), Some(ends), asked, &self.measure(), slivers, scratch);
             }
         }
         if outcome == Outcome::Accepted {

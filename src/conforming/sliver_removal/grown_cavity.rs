@@ -15,8 +15,8 @@
 //! time and the point follows, because close to a surface most of the border may not be crossed.
 //!
 //! # Invariants
-//! Constrained faces bound the polyhedron, and so may constrained edges on them; a tet whose vertex, constrained face or constrained edge would come to lie
-//! inside stays out.
+//! Constrained faces bound the polyhedron, and so may constrained edges on them; a tet whose vertex, constrained face or
+//! constrained edge would come to lie inside stays out.
 //!
 //! # Cost
 //! A search for a place with each tet that joins: a tenth to half a millisecond a tet. For the few worst tets.
@@ -50,12 +50,14 @@ struct Best {
     place: DVec3,
 }
 
-/// Plans the insertion of `vertex` (a spare one without tets) into a polyhedron grown around `tet`. The plan is in
-/// `flips`; the second value is the place of the vertex, to be set before the commit. Every new tet is better than
-/// the floor and than the worst tet that goes, by the factor `gain`.
+/// Plans the insertion of `vertex` (a spare one without tets) into a polyhedron grown around `tet`, or around all tets at
+/// the edge between two local vertices of it, from a point beside that edge. The plan is in `flips`; the second value is the
+/// place of the vertex, to be set before the commit. Every new tet is better than the floor and than the worst tet that
+/// goes, by the factor `gain`.
 pub fn plan_grown_insertion<S: TetStore + ?Sized, M: TetMeasure>(
     store: &mut S,
     (tet, vertex): (TetId, VertexId),
+    edge: Option<[usize; 2]>,
     (limits, gain): (InsertionLimits<'_>, f64),
     measure: &M,
     scratch: &mut SliverScratch,
@@ -66,30 +68,29 @@ pub fn plan_grown_insertion<S: TetStore + ?Sized, M: TetMeasure>(
     }
     scratch.cavity.clear();
     scratch.cavity.push(tet);
-    let place = store.points_of(tet).iter().sum::<DVec3>() / 4.0;
+    let place = match edge {
+        None => store.points_of(tet).iter().sum::<DVec3>() / 4.0,
+        Some(ends) => match begin_with_fan(store, (tet, ends), scratch) {
+            Ok(place) => place,
+            Err(refusal) => return (refusal, DVec3::ZERO),
+        },
+    };
     grow_from(store, (vertex, place), (limits, gain), measure, scratch, flips)
 }
 
-/// The same, beginning with all tets around the edge between two local vertices of `tet` and a point beside it.
-pub fn plan_fan_insertion<S: TetStore + ?Sized, M: TetMeasure>(
+/// Adds the tets around an edge of the tet in the scratch; returns a place beside the edge.
+fn begin_with_fan<S: TetStore + ?Sized>(
     store: &mut S,
-    (tet, vertex): (TetId, VertexId),
-    [a, b]: [usize; 2],
-    (limits, gain): (InsertionLimits<'_>, f64),
-    measure: &M,
+    (tet, [a, b]): (TetId, [usize; 2]),
     scratch: &mut SliverScratch,
-    flips: &mut FlipScratch,
-) -> (Outcome, DVec3) {
-    if let Some(refusal) = super::claim_start(store, tet, vertex) {
-        return (refusal, DVec3::ZERO);
-    }
+) -> Result<DVec3, Outcome> {
     let outcome = collect_fan(store, ShellTet::new(tet, a, b), &mut scratch.cavity);
     if outcome != Outcome::Accepted {
-        return (outcome, DVec3::ZERO);
+        return Err(outcome);
     }
     collect_border(store, scratch);
     if !scratch.keeps_all(store) {
-        return (Outcome::Constrained, DVec3::ZERO);
+        return Err(Outcome::Constrained);
     }
     let row = store.vertices(tet);
     let (p, q) = (store.point(row[a]), store.point(row[b]));
@@ -102,14 +103,12 @@ pub fn plan_fan_insertion<S: TetStore + ?Sized, M: TetMeasure>(
         nearest = others.map(|c| c.distance(middle)).fold(nearest, f64::min);
     }
     // Between the lengths of the edge and of the tets: the next point may halve what is left in the same way.
-    let place = middle + (p.distance(q) * nearest).sqrt() * towards.normalize_or_zero();
-    grow_from(store, (vertex, place), (limits, gain), measure, scratch, flips)
+    Ok(middle + (p.distance(q) * nearest).sqrt() * towards.normalize_or_zero())
 }
 
-/// Claims and lists the tets around an edge as far as constrained faces and the hull let pass.
+/// Claims the other tets around an edge, as far as constrained faces and the hull let pass, and adds them to `fan`, which
+/// holds the first.
 fn collect_fan<S: TetStore + ?Sized>(store: &mut S, start: ShellTet, fan: &mut Vec<TetId>) -> Outcome {
-    fan.clear();
-    fan.push(start.tet);
     let label = store.label(start.tet);
     for forward in [true, false] {
         let mut current = start;
@@ -263,8 +262,15 @@ mod tests {
         let limits = InsertionLimits { floor: 0.0, spacing: Spacing::FREE, size: 1.0, every_edge: true };
         let (mut scratch, mut flips) = (SliverScratch::default(), FlipScratch::default());
         let ends = [0, 1].map(|v| complex.local_vertex(tet, VertexId(v)).unwrap());
-        let (outcome, place) =
-            plan_fan_insertion(&mut complex, (tet, spare), ends, (limits, 2.0), &BiasedSine, &mut scratch, &mut flips);
+        let (outcome, place) = plan_grown_insertion(
+            &mut complex,
+            (tet, spare),
+            Some(ends),
+            (limits, 2.0),
+            &BiasedSine,
+            &mut scratch,
+            &mut flips,
+        );
         assert_eq!(outcome, Outcome::Accepted);
         complex.set_point(spare, place);
         commit(&mut complex, &mut flips).unwrap();
