@@ -98,7 +98,7 @@ int main(int argc, char **argv) {
         Shape shape;
         add_aircraft(shape, ring);
         add_far_field(shape, 100.0, 8);
-        const mw::Context context(1); // one thread: the same mesh every time; 0 takes all cores
+        const mw::Context context(0); // all cores
         mw::Surface surface(context, shape.points, shape.triangles, shape.patches);
         surface.set_patch(SKIN, "wall", "aircraft");
         surface.set_patch(FAR_FIELD, "farfield", "farfield");

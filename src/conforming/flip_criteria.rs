@@ -10,6 +10,7 @@
 //!    over its tets of -(n_k . n_l) / V, with the area vectors of the two faces opposite to the edge's ends.
 //! 3. Min-max skew: the largest dihedral angle; [Drakopoulos2017] B.3 `mrecm 3`, 4.5.
 //! 4. Biased minimum sine: [KlingnerShewchuk2007] section 2.
+//! 5. The same with skew faces shunned: skewness as [OpenFOAM] defines it.
 //!
 //! # Differences
 //! The weight of an edge on the border of a configuration counts only the tets inside: what lies outside is the same
@@ -21,7 +22,7 @@
 use glam::DVec3;
 
 use crate::geometry::predicates::{insphere, orient3d};
-use crate::geometry::tetrahedron::{dihedral_cosines, face_normals, volume6};
+use crate::geometry::tetrahedron::{dihedral_cosines, face_normals, largest_skewness, volume6};
 use crate::index::{TetFace, VertexId};
 use crate::mesh::numbering::TET_EDGES;
 use crate::mesh::tet_store::TetStore;
@@ -109,17 +110,38 @@ pub fn strict(grade: f64) -> f64 {
     if grade >= limit || grade <= 0.0 { grade } else { grade * (grade / limit).powi(12) }
 }
 
-/// The biased sine, strict with tets that have no vertex on the boundary.
+/// The biased sine; tets with skew faces are bad, the skewer the worse.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct UnskewedSine;
+
+impl UnskewedSine {
+    /// Faces of a larger skewness are skew. Solvers ask for less than 4.
+    pub const SKEW: f64 = 3.0;
+    /// The grade of a tet with a face of that skewness: that of the angle below which a tet at the boundary is bad.
+    pub const GRADE: f64 = 0.17;
+}
+
+impl TetMeasure for UnskewedSine {
+    fn grade(&self, corners: [DVec3; 4]) -> f64 {
+        let grade = BiasedSine.grade(corners);
+        let skewness = if grade > 0.0 { largest_skewness(corners) } else { 0.0 };
+        if skewness > Self::SKEW { grade.min(Self::GRADE * Self::SKEW / skewness) } else { grade }
+    }
+}
+
+/// A grade of angles, strict with tets that have no vertex on the boundary.
 #[derive(Debug, Clone, Copy)]
-pub struct StrictInside<'a> {
+pub struct StrictInside<'a, G = BiasedSine> {
+    /// The grade of angles.
+    pub angles: G,
     /// Which vertices lie on the boundary; those beyond the end do not.
     pub on_boundary: &'a [bool],
 }
 
-impl TetMeasure for StrictInside<'_> {
+impl<G: TetMeasure> TetMeasure for StrictInside<'_, G> {
     #[inline]
     fn grade(&self, corners: [DVec3; 4]) -> f64 {
-        BiasedSine.grade(corners)
+        self.angles.grade(corners)
     }
 
     #[inline]
@@ -228,8 +250,17 @@ mod tests {
         assert!(strict(0.9 * limit) > strict(0.8 * limit) && strict(0.8 * limit) > 0.0);
         // A tet off the boundary at 12 degrees counts less than one on it at 5.
         assert!(strict(12.0f64.to_radians().sin()) < 6.0f64.to_radians().sin());
-        let measure = StrictInside { on_boundary: &[true, false] };
+        let measure = StrictInside { angles: BiasedSine, on_boundary: &[true, false] };
         assert!(!measure.is_strict(&[VertexId(0), VertexId(1)]) && measure.is_strict(&[VertexId(1), VertexId(9)]));
+    }
+
+    #[test]
+    fn skew_faces_make_a_tet_bad() {
+        // A spire over a small triangle: leaning, its angles stay good for long.
+        let spire = |lean: f64| [DVec3::ZERO, DVec3::X, DVec3::new(0.5, 0.8, 0.0), DVec3::new(0.5 + lean, 0.3, 12.0)];
+        assert_eq!(UnskewedSine.grade(spire(2.0)), BiasedSine.grade(spire(2.0)));
+        let (skew, skewer) = (UnskewedSine.grade(spire(16.0)), UnskewedSine.grade(spire(20.0)));
+        assert!(skewer < skew && skew <= UnskewedSine::GRADE && BiasedSine.grade(spire(16.0)) > skew);
     }
 
     #[test]

@@ -29,7 +29,7 @@ pub use tet_treatment::{Crowding, FLAT_BELOW, Treatment, count_of_bad};
 
 use rayon::prelude::*;
 
-use super::flip_criteria::BiasedSine;
+use super::flip_criteria::{BiasedSine, StrictInside, UnskewedSine};
 use super::flips::{Accept, Outcome, plan_contraction};
 use super::front::UNSETTLED;
 use super::local_reconnection::{FlipCounts, FourFour, Objective, Reconnector};
@@ -608,7 +608,13 @@ impl Driver {
             self.deal_spares(complex, sizes, bad.len())?;
         }
         let room = 4 * bad.len();
-        self.run(complex, &TreatJob { sizes, on_boundary, treatment }, bad, room)?;
+        if treatment.shuns_skew_faces {
+            let measure = StrictInside { angles: UnskewedSine, on_boundary };
+            self.run(complex, &TreatJob { sizes, measure, treatment }, bad, room)?;
+        } else {
+            let measure = StrictInside { angles: BiasedSine, on_boundary };
+            self.run(complex, &TreatJob { sizes, measure, treatment }, bad, room)?;
+        }
         for kit in &mut self.kits {
             for (vertex, size) in kit.new_sizes.drain(..) {
                 sizes[vertex.index()] = size;

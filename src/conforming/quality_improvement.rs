@@ -10,11 +10,12 @@
 //!
 //! After the passes the worst tets get all operations, points close to others only as long as few of them are. Tets that
 //! are nearly flat, or bad without a vertex on the boundary, get them wherever the points come to lie. Up to `nqualf` times, while a tet is above `angqmax`, passes and
-//! operations are repeated around these tets.
+//! operations are repeated around these tets. At the end, tets with faces that finite-volume solvers find skew get all
+//! operations under a measure that counts skewness: needles on a small triangle may lean far while their angles are good.
 //!
 //! # Source
 //! [Drakopoulos2017] 4.9; B.3 `nqual`, `nqualf`, `angqual`, `angqmsk`, `angqmax`, `mrecqm`, `mrecqmf`, `ordtq`, `mdfs`, `ndfs`,
-//! `angdfs`, `mdse`, `cdse`; operations and their order beyond the thesis: [KlingnerShewchuk2007].
+//! `angdfs`, `mdse`, `cdse`; operations and their order beyond the thesis: [KlingnerShewchuk2007]; skewness: [OpenFOAM].
 //!
 //! # Differences
 //! The thesis repeats the passes everywhere. Most tets above `angqmax` are forced by the surface, so that nearly every
@@ -32,7 +33,7 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
-use super::flip_criteria::{BiasedSine, STRICT_ANGLE, StrictInside, TetMeasure};
+use super::flip_criteria::{BiasedSine, STRICT_ANGLE, StrictInside, TetMeasure, UnskewedSine};
 use super::local_reconnection::{FourFour, Objective};
 use super::options::Options;
 use super::parallel_reconnection::{Crowding, Driver, FLAT_BELOW, Touched, Treatment, count_of_bad};
@@ -40,7 +41,7 @@ use super::refinement::boundary_triangles;
 use super::smoothing::{Acceptance, SmoothingRule, Target};
 use crate::context::RunContext;
 use crate::error::Result;
-use crate::geometry::tetrahedron::{dihedral_angles, dihedral_cosines, exceeds_angle};
+use crate::geometry::tetrahedron::{dihedral_angles, dihedral_cosines, exceeds_angle, face_skewness};
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::{TET_FACES, TET_OPPOSITE_EDGES};
 use crate::mesh::quality::SLIVER_DEGREES;
@@ -53,6 +54,8 @@ use crate::statistics::Statistics;
 const WORST_ROUNDS: usize = 6;
 /// Most rounds over the tets that may not stay, after these.
 const LAST_ROUNDS: usize = 12;
+/// Most rounds over the tets with skew faces, at the end.
+const SKEW_ROUNDS: usize = 6;
 /// Angles that the rounds over the worst tets aim at, degrees: beyond what users ask for, so that they get it.
 const WORST_GOAL: (f64, f64) = (24.0, 145.0);
 /// Share of the vertices that may be inserted closer to others than the sizes want, for the worst tets. On surfaces with
@@ -240,6 +243,25 @@ fn slivers(complex: &TetComplex, context: &RunContext) -> Vec<TetId> {
     sift(complex, context, &Scope::default(), |_| false, is_sliver).0
 }
 
+/// The tets with faces that solvers find skew, the skewest face first.
+fn tets_with_skew_faces(complex: &TetComplex, context: &RunContext) -> Vec<TetId> {
+    let is_skew = |tet: TetId| {
+        let (row, neighbors) = (complex.vertices(tet), complex.neighbors(tet));
+        let skewness = |face: usize| {
+            let other = neighbors[face];
+            let beyond = (other != TetFace::NONE && !complex.label(other.tet()).is_background())
+                .then(|| complex.apex(other))
+                .filter(|apex| !apex.is_ghost())
+                .map(|apex| complex.point(apex));
+            let corners = TET_FACES[face].map(|local| complex.point(row[local]));
+            face_skewness(corners, complex.point(row[face]), beyond)
+        };
+        let worst = (0..4).map(skewness).fold(0.0, f64::max);
+        (worst > UnskewedSine::SKEW).then_some(-worst)
+    };
+    sift(complex, context, &Scope::default(), |_| false, is_skew).0
+}
+
 /// Whether the boundary forces a sliver: two of its faces on the boundary meet at the bad angle, or a face on the boundary
 /// has an own angle beyond the limits. Other slivers could go, if only with many small tets beside the boundary.
 fn is_forced_sliver(complex: &TetComplex, tet: TetId) -> bool {
@@ -359,6 +381,8 @@ pub fn improve(
         }
         scope = Scope::around(complex, &left, REPEAT_RINGS);
     }
+    let skew_tets = improver.treat_skew_faces(complex, sizes)?;
+    figures.set("quality.skew_tets", skew_tets as f64);
     Known::forget(complex);
     improver.driver.record(&mut figures, "quality");
     let slivers = slivers(complex, context);
@@ -478,7 +502,7 @@ impl Improver<'_> {
             self.context.check()?;
             let limit = STRICT_ANGLE.to_radians().sin();
             let mut bad = self.known.tets_below(complex, self.context, &Scope::default(), limit);
-            let measure = StrictInside { on_boundary: self.on_boundary };
+            let measure = StrictInside { angles: BiasedSine, on_boundary: self.on_boundary };
             bad.retain(|&tet| {
                 measure.is_strict(&complex.vertices(tet)) || BiasedSine.grade(complex.points_of(tet)) < flat
             });
@@ -488,6 +512,22 @@ impl Improver<'_> {
             }
         }
         Ok(())
+    }
+
+    /// All operations at tets with skew faces; returns how many of these tets are left.
+    fn treat_skew_faces(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>) -> Result<usize> {
+        for _ in 0..SKEW_ROUNDS {
+            self.context.check()?;
+            let skew = tets_with_skew_faces(complex, self.context);
+            let count = skew.len();
+            if count == 0 || !self.options.delete_field_slivers {
+                return Ok(count);
+            }
+            if self.driver.treat(complex, sizes, self.on_boundary, skew, &Treatment::of_skew_faces())? == 0 {
+                return Ok(count);
+            }
+        }
+        Ok(tets_with_skew_faces(complex, self.context).len())
     }
 
     /// All operations at bad tets, worst first; returns how many were carried out. Points crowd around the first ones
@@ -559,6 +599,32 @@ mod tests {
         tets.into_iter().for_each(|tet| complex.set_label(tet, Label(1)));
         let found = slivers(&complex, &context);
         assert!(!found.is_empty() && found.iter().all(|tet| !is_forced_sliver(&complex, *tet)), "{found:?}");
+    }
+
+    #[test]
+    fn skew_faces_are_mended() {
+        // A small triangle in the floor of a wide box, and one point far above to the side.
+        let corners = [[-9.0, -8.0], [8.5, -9.0], [9.0, 9.5], [-8.0, 9.0]];
+        let mut points: Vec<DVec3> =
+            [0.0, 14.0].iter().flat_map(|&z| corners.map(|[x, y]| DVec3::new(x, y, z))).collect();
+        points.extend([[0.0, 0.0], [0.3, 0.0], [0.0, 0.3]].map(|[x, y]| DVec3::new(x, y, 0.0)));
+        points.push(DVec3::new(5.0, 1.0, 4.0));
+        let (options, context) = (Options::default(), RunContext::with_threads(1).unwrap());
+        let mut complex = tetrahedralize(&points, &DelaunayOptions::default(), &context).unwrap().complex;
+        let tets: Vec<TetId> = complex.finite_tets().collect();
+        tets.into_iter().for_each(|tet| complex.set_label(tet, Label(1)));
+        assert!(!tets_with_skew_faces(&complex, &context).is_empty());
+        let on_boundary = boundary_vertices(&complex);
+        let mut sizes = vec![1.0; points.len()];
+        let driver = Driver::for_quality(&options, &context);
+        let known = Known { angle: 90.0, grade: 0.0 };
+        let options = &options;
+        let mut improver =
+            Improver { options, context: &context, on_boundary: &on_boundary, driver, known, crowded_points: 0 };
+        assert_eq!(improver.treat_skew_faces(&mut complex, &mut sizes).unwrap(), 0);
+        assert!(tets_with_skew_faces(&complex, &context).is_empty());
+        complex.check_invariants().unwrap();
+        complex.check_orientation().unwrap();
     }
 
     #[test]

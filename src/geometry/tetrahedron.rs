@@ -1,11 +1,12 @@
-//! Measures of one tetrahedron: volume, dihedral and solid angles, circumsphere, inradius, shape.
+//! Measures of one tetrahedron: volume, dihedral and solid angles, circumsphere, inradius, shape, skewness of faces.
 //!
 //! # Method
 //! Closed formulas in double precision on the four points in the order of `mesh::numbering` (positive when
 //! [`crate::geometry::predicates::orient3d`] is). Angles come from `atan2`, which stays accurate for flat tets.
 //!
 //! # Source
-//! Dihedral angles and shape measures: [Shewchuk2002b]; names and ranges of the shape measures: [Verdict2007].
+//! Dihedral angles and shape measures: [Shewchuk2002b]; names and ranges of the shape measures: [Verdict2007]; skewness:
+//! [OpenFOAM], the definition of its mesh check.
 //!
 //! # Limits
 //! Only measures: signs of nearly flat tets are decided by the exact predicates, not here.
@@ -171,6 +172,40 @@ pub fn scaled_jacobian(corners: Corners) -> f64 {
     if product > 0.0 { std::f64::consts::SQRT_2 * volume6(corners) / product } else { 0.0 }
 }
 
+/// Skewness of a face between the tets to the apexes `apex` and `beyond`, or on the boundary: how far the line between
+/// their centroids passes from the face's centroid, over the extent of the face in that direction. On the boundary the
+/// line is the normal through the centroid. 0 is best; finite-volume solvers ask for less than 4.
+pub fn face_skewness([a, b, c]: [DVec3; 3], apex: DVec3, beyond: Option<DVec3>) -> f64 {
+    let center = (a + b + c) / 3.0;
+    let normal = (b - a).cross(c - a);
+    // A tet's centroid lies a quarter of the way from the face's to the apex.
+    let from = (center - apex) / 4.0;
+    // The solver's extents are at least these shares of the line.
+    let (line, share) = match beyond {
+        Some(beyond) => ((beyond - apex) / 4.0, 0.2),
+        None => (normal * (normal.dot(from) / normal.length_squared()), 0.4),
+    };
+    let offset = from - line * (normal.dot(from) / normal.dot(line));
+    let distance = offset.length();
+    let extent = [a, b, c].map(|p| (offset.dot(p - center) / distance).abs()).into_iter().fold(0.0, f64::max);
+    let skewness = distance / extent.max(share * line.length());
+    // Nothing is skew where the line passes through the centroid; a flat tet is as skew as can be.
+    if skewness.is_finite() {
+        skewness
+    } else if distance == 0.0 {
+        0.0
+    } else {
+        f64::INFINITY
+    }
+}
+
+/// The largest skewness that the faces of a tet would have on a boundary. An inner face, whose line is between those of
+/// its two tets, is hardly skewer than with the worse of them.
+pub fn largest_skewness([a, b, c, d]: Corners) -> f64 {
+    let faces = [([b, c, d], a), ([a, c, d], b), ([a, b, d], c), ([a, b, c], d)];
+    faces.into_iter().map(|(face, apex)| face_skewness(face, apex, None)).fold(0.0, f64::max)
+}
+
 /// Whether `point` lies in the tet, with the weights of its corners (they sum to 1; all at least 0 inside).
 pub fn barycentric([a, b, c, d]: Corners, point: DVec3) -> [f64; 4] {
     let whole = volume6([a, b, c, d]);
@@ -221,6 +256,22 @@ mod tests {
         assert!((inradius(tet) - 1.0 / (3.0 + 3f64.sqrt())).abs() < 1e-15);
         assert!((solid_angle(tet) - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
         assert_eq!(barycentric(tet, DVec3::splat(0.25)), [0.25; 4]);
+    }
+
+    #[test]
+    fn skewness_follows_its_definition() {
+        let tet = regular();
+        assert!(largest_skewness(tet) < 1e-7);
+        // The centroid of a right triangle with legs of 3 is at (1, 1); the apex stands 4 s beside it, 4 h above.
+        let face = [DVec3::ZERO, 3.0 * DVec3::X, 3.0 * DVec3::Y];
+        let apex = |s: f64, h: f64| DVec3::new(1.0 + 4.0 * s, 1.0, 4.0 * h);
+        assert!((face_skewness(face, apex(5.0, 1.0), None) - 2.5).abs() < 1e-12, "the face extends by 2");
+        assert!((face_skewness(face, apex(5.0, 20.0), None) - 0.625).abs() < 1e-12, "0.4 of the height is more");
+        // Between apexes on both sides at the same distance the line passes half way between their feet.
+        let beyond = apex(1.0, -1.0);
+        assert!((face_skewness(face, apex(5.0, 1.0), Some(beyond)) - 1.5).abs() < 1e-12);
+        assert_eq!(face_skewness(face, apex(0.0, 1.0), None), 0.0);
+        assert_eq!(face_skewness(face, apex(1.0, 0.0), None), f64::INFINITY);
     }
 
     #[test]

@@ -18,7 +18,7 @@
 
 use glam::DVec3;
 
-use super::super::flip_criteria::{BiasedSine, STRICT_ANGLE, StrictInside, TetMeasure};
+use super::super::flip_criteria::{BiasedSine, STRICT_ANGLE, StrictInside, TetMeasure, UnskewedSine};
 use super::super::flips::{Accept, Outcome, plan_edge_removal, plan_face_removal, plan_vertex_removal};
 use super::super::sliver_removal::{InsertionLimits, plan_grown_insertion, plan_sliver_insertion};
 use super::super::spacing::Spacing;
@@ -76,17 +76,25 @@ pub struct Treatment {
     pub crowding: Crowding,
     /// Tets of this grade or better are left alone.
     pub goal: f64,
+    /// Whether skew faces make a tet bad.
+    pub shuns_skew_faces: bool,
 }
 
 impl Treatment {
     /// Edge and face removal and moves of vertices.
     pub fn topological(goal: f64) -> Self {
-        Self { edge_limit: 8, changes_vertices: false, crowding: Crowding::Refused, goal }
+        let crowding = Crowding::Refused;
+        Self { edge_limit: 8, changes_vertices: false, crowding, goal, shuns_skew_faces: false }
     }
 
     /// All operations.
     pub fn everything(goal: f64, crowding: Crowding) -> Self {
-        Self { edge_limit: 10, changes_vertices: true, crowding, goal }
+        Self { edge_limit: 10, changes_vertices: true, crowding, goal, shuns_skew_faces: false }
+    }
+
+    /// All operations, for the sake of skew faces.
+    pub fn of_skew_faces() -> Self {
+        Self { shuns_skew_faces: true, ..Self::everything(UnskewedSine::GRADE, Crowding::Allowed) }
     }
 }
 
@@ -116,19 +124,15 @@ fn insertion_limits(
     InsertionLimits { floor, spacing, size, every_edge }
 }
 
-pub(super) struct TreatJob<'a> {
+pub(super) struct TreatJob<'a, G> {
     pub sizes: &'a [f64],
-    pub on_boundary: &'a [bool],
+    pub measure: StrictInside<'a, G>,
     pub treatment: &'a Treatment,
 }
 
-impl TreatJob<'_> {
-    fn measure(&self) -> StrictInside<'_> {
-        StrictInside { on_boundary: self.on_boundary }
-    }
-
+impl<G: TetMeasure> TreatJob<'_, G> {
     fn is_fixed(&self, vertex: VertexId) -> bool {
-        self.on_boundary.get(vertex.index()).copied().unwrap_or(false)
+        self.measure.on_boundary.get(vertex.index()).copied().unwrap_or(false)
     }
 
     /// Commits the plan in the kit; true where it was carried out.
@@ -150,10 +154,10 @@ impl TreatJob<'_> {
             let outcome = if option < 6 {
                 let [a, b] = TET_EDGES[option];
                 let start = ShellTet::new(tet, a, b);
-                plan_edge_removal(store, start, self.treatment.edge_limit, &self.measure(), Accept::Better, scratch)
+                plan_edge_removal(store, start, self.treatment.edge_limit, &self.measure, Accept::Better, scratch)
             } else {
                 let side = TetFace::new(tet, option - 6);
-                plan_face_removal(store, side, &self.measure(), Accept::Better, scratch)
+                plan_face_removal(store, side, &self.measure, Accept::Better, scratch)
             };
             if Self::commit(store, kit, outcome)? {
                 return Ok(Outcome::Accepted);
@@ -165,12 +169,12 @@ impl TreatJob<'_> {
 
     /// Moves each vertex to its best place; whether any moved.
     fn move_vertices<S: TetStore>(&self, store: &mut S, kit: &mut Kit, row: [VertexId; 4]) -> bool {
-        let grade = BiasedSine.grade(store.corners(row));
+        let grade = self.measure.grade(store.corners(row));
         let is_free = self.treatment.crowding == Crowding::Allowed || grade < FLAT_BELOW.to_radians().sin();
         let spacing = if is_free { Spacing::FREE } else { Spacing { sizes: self.sizes, factor: SPACING } };
         let mut moved = false;
         for vertex in row.into_iter().filter(|v| !self.is_fixed(*v)) {
-            if kit.smoother.optimize(store, vertex, &self.measure(), spacing) == Outcome::Accepted {
+            if kit.smoother.optimize(store, vertex, &self.measure, spacing) == Outcome::Accepted {
                 kit.touched.moved.push(vertex);
                 moved = true;
             }
@@ -190,7 +194,7 @@ impl TreatJob<'_> {
         let mut lost = false;
         for vertex in row.into_iter().filter(|v| !self.is_fixed(*v)) {
             let scratch = &mut kit.reconnector.scratch;
-            let outcome = plan_vertex_removal(store, vertex, &self.measure(), Accept::Better, scratch);
+            let outcome = plan_vertex_removal(store, vertex, &self.measure, Accept::Better, scratch);
             if Self::commit(store, kit, outcome)? {
                 kit.tally.removed += 1;
                 kit.removed.push(vertex);
@@ -202,25 +206,24 @@ impl TreatJob<'_> {
         kit.tally.tried += 1;
         let known = row.iter().filter_map(|v| self.sizes.get(v.index()).copied());
         let size = known.clone().sum::<f64>() / known.count().max(1) as f64;
-        let grade = BiasedSine.grade(store.corners(row));
-        let is_off = self.measure().is_strict(&row);
+        let grade = self.measure.grade(store.corners(row));
+        let is_off = self.measure.is_strict(&row);
         let limits = insertion_limits(grade, is_off, (size, self.sizes), self.treatment.crowding);
         let Kit { slivers, reconnector, .. } = kit;
         let scratch = &mut reconnector.scratch;
         let (mut outcome, mut place) =
-            plan_sliver_insertion(store, tet, vertex, limits, &self.measure(), slivers, scratch);
+            plan_sliver_insertion(store, tet, vertex, limits, &self.measure, slivers, scratch);
         let is_bad = grade < bad_grade(is_off);
         if is_bad && !matches!(outcome, Outcome::Accepted | Outcome::ClaimLost) {
             store.release_claims();
             let limits = InsertionLimits { floor: limits.floor.min(GAIN * grade), ..limits };
             let asked = (limits, GAIN);
-            (outcome, place) =
-                plan_grown_insertion(store, (tet, vertex), None, asked, &self.measure(), slivers, scratch);
+            (outcome, place) = plan_grown_insertion(store, (tet, vertex), None, asked, &self.measure, slivers, scratch);
             let edge = shortest_edge(row.map(|v| store.point(v))).filter(|_| limits.spacing.is_free());
             if let Some(ends) = edge.filter(|_| !matches!(outcome, Outcome::Accepted | Outcome::ClaimLost)) {
                 store.release_claims();
                 (outcome, place) =
-                    plan_grown_insertion(store, (tet, vertex), Some(ends), asked, &self.measure(), slivers, scratch);
+                    plan_grown_insertion(store, (tet, vertex), Some(ends), asked, &self.measure, slivers, scratch);
             }
         }
         if outcome == Outcome::Accepted {
@@ -244,7 +247,7 @@ fn shortest_edge(corners: [DVec3; 4]) -> Option<[usize; 2]> {
     (length(shortest) < SHORT_EDGE * longest).then_some(shortest)
 }
 
-impl Job for TreatJob<'_> {
+impl<G: TetMeasure + Sync> Job for TreatJob<'_, G> {
     type Item = TetId;
 
     fn attempt<S: TetStore>(&self, store: &mut S, kit: &mut Kit, tet: TetId) -> Result<Attempt> {
@@ -254,7 +257,8 @@ impl Job for TreatJob<'_> {
             return Ok(if gone { Attempt::Done } else { Attempt::ClaimLost });
         }
         let row = store.vertices(tet);
-        let before = if row.contains(&VertexId::GHOST) { f64::INFINITY } else { BiasedSine.grade(store.corners(row)) };
+        let before =
+            if row.contains(&VertexId::GHOST) { f64::INFINITY } else { self.measure.grade(store.corners(row)) };
         store.release_claims();
         if before >= self.treatment.goal {
             return Ok(Attempt::Done);
