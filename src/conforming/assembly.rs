@@ -10,6 +10,7 @@
 //! The points of the surface keep their numbers through both.
 
 use glam::DVec3;
+use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use crate::conforming::boundary_recovery::constrained_mesh::{ConstrainedMesh, FaceKey, edge_key, face_key};
@@ -20,6 +21,9 @@ use crate::mesh::mixed_mesh::{MixedMesh, Space};
 use crate::mesh::numbering::{TET_EDGES, TET_FACES};
 use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
+
+/// Tets per parallel chunk.
+const CHUNK: usize = 4096;
 
 /// The tets of the regions, and the facets under the vertex numbers of the new complex.
 pub struct Carved {
@@ -87,6 +91,7 @@ fn constrain(complex: &mut TetComplex, subfaces: &FxHashMap<FaceKey, u32>) {
 }
 
 /// The finished mesh: tets in slot order, every face of the surface as a boundary triangle in the order of the facets.
+/// Runs on the rayon pool it is called in.
 ///
 /// # Errors
 /// As [`MixedMesh::from_tets`].
@@ -98,16 +103,17 @@ pub fn finish(
     patches: &[i32],
 ) -> Result<MixedMesh> {
     let value = |label: Label| if label.is_background() { 0 } else { regions[label.index() - 1].label };
-    let tets: Vec<_> = complex.finite_tets().collect();
-    let rows: Vec<[VertexId; 4]> = tets.iter().map(|&t| complex.vertices(t)).collect();
-    let labels = tets.iter().map(|&t| value(complex.label(t))).collect();
+    let tets = complex.finite_tets_where(|_| true);
+    let in_parallel = || tets.par_iter().with_min_len(CHUNK);
+    let rows: Vec<[VertexId; 4]> = in_parallel().map(|&t| complex.vertices(t)).collect();
+    let labels = in_parallel().map(|&t| value(complex.label(t))).collect();
     let mut mesh = MixedMesh::from_tets(complex.points().to_vec(), &rows, labels)?;
     mesh.space = Space::Unspecified;
     let mut element_of = vec![-1_i64; complex.slot_count()];
     tets.iter().enumerate().for_each(|(i, t)| element_of[t.index()] = i as i64);
     // Facet, triangle outward from its first tet, that tet's side.
     let mut faces: Vec<(u32, [VertexId; 3], TetFace)> = Vec::new();
-    for &tet in tets.iter().filter(|&&tet| complex.flags(tet).has_constrained_face()) {
+    for tet in complex.finite_tets_where(|tet| complex.flags(tet).has_constrained_face()) {
         for side in (0..4).map(|face| TetFace::new(tet, face)).filter(|&side| complex.is_face_constrained(side)) {
             let triangle = complex.face_vertices(side);
             let Some(&facet) = subfaces.get(&face_key(triangle)) else { continue };

@@ -181,6 +181,7 @@ mod tests {
     use super::*;
     use crate::conforming::boundary_recovery::constrained_mesh::face_key;
     use crate::conforming::refinement::boundary_triangles;
+    use crate::context::RunContext;
     use crate::geometry::tetrahedron::volume;
     use crate::index::Label;
 
@@ -196,7 +197,7 @@ mod tests {
         }
         complex.pair_faces().unwrap();
         complex.rebuild_vertex_tets();
-        let outside = boundary_triangles(&complex);
+        let outside = boundary_triangles(&complex, &alone());
         let subfaces: FxHashMap<FaceKey, u32> = outside.iter().zip(0..).map(|(f, i)| (face_key(*f), i)).collect();
         let edges: Vec<_> =
             outside.iter().flat_map(|&[a, b, c]| [edge_key(a, b), edge_key(b, c), edge_key(c, a)]).collect();
@@ -213,13 +214,17 @@ mod tests {
         (complex, subfaces)
     }
 
+    fn alone() -> RunContext {
+        RunContext::with_threads(1).unwrap()
+    }
+
     fn deleted(rise: f64, change: fn(&mut Options)) -> usize {
         let (mut complex, mut subfaces) = roof(rise);
         let mut options = Options { surface_angle_limit: 140.0, ..Options::default() };
         change(&mut options);
         let count = delete_boundary_slivers(&mut complex, &mut subfaces, &[7; 8], &options);
         complex.check_invariants().unwrap();
-        let mut outside: Vec<_> = boundary_triangles(&complex).into_iter().map(face_key).collect();
+        let mut outside: Vec<_> = boundary_triangles(&complex, &alone()).into_iter().map(face_key).collect();
         let mut keys: Vec<_> = subfaces.into_keys().collect();
         outside.sort_unstable();
         keys.sort_unstable();

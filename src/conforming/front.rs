@@ -79,63 +79,85 @@ pub fn corner_sizes<S: TetStore + ?Sized>(store: &S, sizes: &[f64], tet: TetId) 
     [sizes[a.index()], sizes[b.index()], sizes[c.index()], sizes[d.index()]]
 }
 
-/// Drops dead tets, ghosts and repetitions from `tets` (slots are used again at once, so most are listed several times);
+/// What becomes of a listed tet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Fate {
+    /// Dead, a ghost or no longer of interest.
+    Dropped,
+    /// It does what the rule asks for.
+    Done,
+    /// It does not.
+    Left,
+}
+
+/// Drops dead tets, ghosts and repetitions from `tets` (slots are used again at once, so some are listed several times);
 /// marks those with an edge that is too long and returns the others.
 pub fn settled_of(complex: &mut TetComplex, sizes: &[f64], rule: Satisfaction, tets: &mut Vec<TetId>) -> Vec<TetId> {
-    tets.retain(|&tet| {
-        let flags = complex.flags(tet);
-        let keep = !flags.is_deleted() && !flags.is_queued() && !complex.is_ghost_tet(tet);
-        if keep {
-            complex.set_flags(tet, flags.with_queued(true));
-        }
-        keep
-    });
     let reader = &*complex;
-    let is_short = |&tet: &TetId| rule.is_short(reader.points_of(tet), corner_sizes(reader, sizes, tet));
-    let short: Vec<bool> = tets.par_iter().with_min_len(CHUNK).map(is_short).collect();
-    let mut settled = Vec::new();
-    for (&tet, short) in tets.iter().zip(short) {
-        let flags = complex.flags(tet).with_queued(false);
-        complex.set_flags(tet, if short { flags } else { flags.with_user_bit(UNSETTLED, true) });
-        if short {
-            settled.push(tet);
+    let fate = |&tet: &TetId| {
+        if reader.flags(tet).is_deleted() || reader.is_ghost_tet(tet) {
+            return Fate::Dropped;
         }
-    }
+        let is_short = rule.is_short(reader.points_of(tet), corner_sizes(reader, sizes, tet));
+        if is_short { Fate::Done } else { Fate::Left }
+    };
+    let fates: Vec<Fate> = tets.par_iter().with_min_len(CHUNK).map(fate).collect();
+    let mut fates = fates.into_iter();
+    let mut settled = Vec::new();
+    tets.retain(|&tet| {
+        let fate = fates.next().unwrap_or(Fate::Dropped);
+        if fate == Fate::Dropped || complex.flags(tet).is_queued() {
+            return false;
+        }
+        let flags = complex.flags(tet).with_queued(true);
+        if fate == Fate::Done {
+            settled.push(tet);
+            complex.set_flags(tet, flags);
+        } else {
+            complex.set_flags(tet, flags.with_user_bit(UNSETTLED, true));
+        }
+        true
+    });
+    unqueue(complex, tets);
     settled
+}
+
+fn unqueue(complex: &mut TetComplex, tets: &[TetId]) {
+    for &tet in tets {
+        complex.set_flags(tet, complex.flags(tet).with_queued(false));
+    }
 }
 
 /// Marks the satisfied tets of `active` and drops them, dead ones, repeated ones, ghosts and background from the list.
 pub fn deactivate(complex: &mut TetComplex, sizes: &[f64], rule: Satisfaction, active: &mut Vec<TetId>) {
-    let mut unique = std::mem::take(active);
-    active.reserve(unique.len() / 2);
-    unique.retain(|&tet| {
-        let flags = complex.flags(tet);
-        let keep = !flags.is_deleted()
-            && !flags.is_queued()
-            && !flags.has_user_bit(SATISFIED)
-            && !complex.label(tet).is_background()
-            && !complex.is_ghost_tet(tet);
-        if keep {
-            complex.set_flags(tet, flags.with_queued(true));
-        }
-        keep
-    });
+    let listed = std::mem::take(active);
+    active.reserve(listed.len() / 2);
     let reader = &*complex;
-    let satisfied: Vec<bool> = unique
-        .par_iter()
-        .with_min_len(CHUNK)
-        .map(|&tet| {
-            let is_long = reader.flags(tet).has_user_bit(UNSETTLED);
-            !is_long && rule.holds(reader.points_of(tet), corner_sizes(reader, sizes, tet))
-        })
-        .collect();
-    for (&tet, &done) in unique.iter().zip(&satisfied) {
-        let flags = complex.flags(tet).with_queued(false);
-        complex.set_flags(tet, flags.with_user_bit(SATISFIED, done));
-        if !done {
+    let fate = |&tet: &TetId| {
+        let flags = reader.flags(tet);
+        if flags.is_deleted()
+            || flags.has_user_bit(SATISFIED)
+            || reader.label(tet).is_background()
+            || reader.is_ghost_tet(tet)
+        {
+            return Fate::Dropped;
+        }
+        let is_done =
+            !flags.has_user_bit(UNSETTLED) && rule.holds(reader.points_of(tet), corner_sizes(reader, sizes, tet));
+        if is_done { Fate::Done } else { Fate::Left }
+    };
+    let fates: Vec<Fate> = listed.par_iter().with_min_len(CHUNK).map(fate).collect();
+    for (tet, fate) in listed.into_iter().zip(fates) {
+        let flags = complex.flags(tet);
+        if fate == Fate::Dropped || flags.is_queued() || flags.has_user_bit(SATISFIED) {
+            continue;
+        }
+        if fate == Fate::Left {
+            complex.set_flags(tet, flags.with_queued(true));
             active.push(tet);
             continue;
         }
+        complex.set_flags(tet, flags.with_user_bit(SATISFIED, true));
         for side in complex.neighbors(tet) {
             // A new front face wakes the tet behind it.
             if side != TetFace::NONE && complex.flags(side.tet()).has_user_bit(RESTING) {
@@ -145,6 +167,7 @@ pub fn deactivate(complex: &mut TetComplex, sizes: &[f64], rule: Satisfaction, a
             }
         }
     }
+    unqueue(complex, active);
 }
 
 /// Puts the tets of `active` to rest and empties the list: their candidates become vertices, which replaces most of the

@@ -188,5 +188,5 @@ fn domain_mesh(
         let deleted = delete_boundary_slivers(&mut complex, &mut subfaces, patches, options);
         report.refinement.set("quality.boundary_slivers_deleted", deleted as f64);
     }
-    finish(&complex, regions, &subfaces, &checked.facets, &checked.facet_patches)
+    context.install(|| finish(&complex, regions, &subfaces, &checked.facets, &checked.facet_patches))
 }

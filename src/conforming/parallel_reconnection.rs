@@ -81,7 +81,7 @@ const ATTEMPT_ROOM: usize = 256;
 /// New tets per inserted vertex, with what is in flight.
 const TETS_PER_INSERT: usize = 9;
 /// Passes with fewer items run on one thread: sharing would cost more than it brings.
-const MIN_PARALLEL: usize = 512;
+const MIN_PARALLEL: usize = 128;
 /// An insertion round is shared where the cavities of all threads, as large as those of the round before, take less than
 /// this part of the mesh: rounds grow by eight and cavities shrink as much.
 const MEETING: usize = 16;
@@ -523,7 +523,7 @@ impl Driver {
         objective: Objective,
         four: FourFour,
     ) -> Result<()> {
-        let tets: Vec<TetId> = complex.finite_tets().collect();
+        let tets = self.context.install(|| complex.finite_tets_where(|_| true));
         let room = tets.len();
         let job = ReconnectJob { objective, four, active_cosine: degrees.to_radians().cos() };
         self.run(complex, &job, tets, room)?;

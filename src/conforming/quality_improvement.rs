@@ -31,6 +31,7 @@
 
 use std::time::Instant;
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 use super::flip_criteria::{BiasedSine, STRICT_ANGLE, StrictInside, TetMeasure, UnskewedSine};
@@ -41,7 +42,9 @@ use super::refinement::boundary_triangles;
 use super::smoothing::{Acceptance, SmoothingRule, Target};
 use crate::context::RunContext;
 use crate::error::Result;
-use crate::geometry::tetrahedron::{dihedral_angles, dihedral_cosines, exceeds_angle, face_skewness};
+use crate::geometry::tetrahedron::{
+    dihedral_angles, dihedral_cosines, edge_vectors, exceeds_angle, face_skewness, volume6,
+};
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::{TET_FACES, TET_OPPOSITE_EDGES};
 use crate::mesh::quality::SLIVER_DEGREES;
@@ -95,12 +98,11 @@ impl Scope {
     }
 
     /// The vertices of some tets and `rings` rings around them.
-    fn around(complex: &TetComplex, tets: &[TetId], rings: usize) -> Self {
+    fn around(complex: &TetComplex, context: &RunContext, tets: &[TetId], rings: usize) -> Self {
         let mut scope = Self::of_vertices(complex, tets.iter().flat_map(|&t| complex.vertices(t)));
         for _ in 0..rings {
-            let reached: Vec<[VertexId; 4]> =
-                complex.finite_tets().map(|t| complex.vertices(t)).filter(|row| scope.holds(row)).collect();
-            scope = Self::of_vertices(complex, reached.into_iter().flatten());
+            let reached = context.install(|| complex.finite_tets_where(|tet| scope.holds(&complex.vertices(tet))));
+            scope = Self::of_vertices(complex, reached.into_iter().flat_map(|tet| complex.vertices(tet)));
         }
         scope
     }
@@ -243,9 +245,20 @@ fn slivers(complex: &TetComplex, context: &RunContext) -> Vec<TetId> {
     sift(complex, context, &Scope::default(), |_| false, is_sliver).0
 }
 
+/// Whether a face of the tet may be skew. The apex of one stands more than 12 of the face's extents beside its centroid
+/// and at most 1 / 1.2 of that above it: six times the volume is less than 0.082 of the cube of the longest edge.
+fn may_be_skew(corners: [DVec3; 4]) -> bool {
+    const MOST: f64 = 0.082;
+    let squared = edge_vectors(corners).into_iter().map(|edge| edge.length_squared()).fold(0.0, f64::max);
+    volume6(corners).powi(2) < MOST * MOST * squared.powi(3)
+}
+
 /// The tets with faces that solvers find skew, the skewest face first.
 fn tets_with_skew_faces(complex: &TetComplex, context: &RunContext) -> Vec<TetId> {
     let is_skew = |tet: TetId| {
+        if !may_be_skew(complex.points_of(tet)) {
+            return None;
+        }
         let (row, neighbors) = (complex.vertices(tet), complex.neighbors(tet));
         let skewness = |face: usize| {
             let other = neighbors[face];
@@ -288,9 +301,9 @@ fn vertices_of(complex: &TetComplex, tets: &[TetId]) -> Vec<VertexId> {
 }
 
 /// Which vertices lie on the boundary.
-pub(super) fn boundary_vertices(complex: &TetComplex) -> Vec<bool> {
+pub(super) fn boundary_vertices(complex: &TetComplex, context: &RunContext) -> Vec<bool> {
     let mut marks = vec![false; complex.vertex_count()];
-    boundary_triangles(complex).as_flattened().iter().for_each(|v| marks[v.index()] = true);
+    boundary_triangles(complex, context).as_flattened().iter().for_each(|v| marks[v.index()] = true);
     marks
 }
 
@@ -313,7 +326,7 @@ pub fn treat_flat_tets(
     if flat.is_empty() {
         return Ok(());
     }
-    let on_boundary = boundary_vertices(complex);
+    let on_boundary = boundary_vertices(complex, context);
     let mut driver = Driver::for_refinement(options, context);
     driver.treat(complex, sizes, &on_boundary, flat, &Treatment::topological(goal)).map(|_| ())
 }
@@ -333,7 +346,7 @@ pub fn improve(
     if options.quality_passes == 0 {
         return Ok(figures);
     }
-    let on_boundary = boundary_vertices(complex);
+    let on_boundary = boundary_vertices(complex, context);
     let driver = Driver::for_quality(options, context);
     let angle = options.quality_angle.min(options.mask_angle);
     let known = Known { angle, grade: BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1) };
@@ -379,7 +392,7 @@ pub fn improve(
         if left.is_empty() {
             break;
         }
-        scope = Scope::around(complex, &left, REPEAT_RINGS);
+        scope = Scope::around(complex, context, &left, REPEAT_RINGS);
     }
     let skew_tets = improver.treat_skew_faces(complex, sizes)?;
     figures.set("quality.skew_tets", skew_tets as f64);
@@ -560,8 +573,6 @@ impl Improver<'_> {
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
-
     use super::*;
     use crate::conforming::delaunay_kernel::{DelaunayOptions, tetrahedralize};
     use crate::index::Label;
@@ -614,7 +625,7 @@ mod tests {
         let tets: Vec<TetId> = complex.finite_tets().collect();
         tets.into_iter().for_each(|tet| complex.set_label(tet, Label(1)));
         assert!(!tets_with_skew_faces(&complex, &context).is_empty());
-        let on_boundary = boundary_vertices(&complex);
+        let on_boundary = boundary_vertices(&complex, &context);
         let mut sizes = vec![1.0; points.len()];
         let driver = Driver::for_quality(&options, &context);
         let known = Known { angle: 90.0, grade: 0.0 };

@@ -67,22 +67,17 @@ pub struct Round {
 }
 
 /// The boundary as triangles: every constrained face and every end of the mesh, once.
-pub fn boundary_triangles(complex: &TetComplex) -> Vec<[VertexId; 3]> {
-    let mut triangles = Vec::new();
-    for tet in complex.finite_tets() {
-        let (neighbors, flags) = (complex.neighbors(tet), complex.flags(tet));
-        for face in 0..4 {
-            let is_end = neighbors[face] == TetFace::NONE;
-            let side = TetFace::new(tet, face);
-            if is_end
-                || (flags.is_face_constrained(face) && side < neighbors[face])
-                || (flags.is_face_constrained(face) && complex.is_ghost_tet(neighbors[face].tet()))
-            {
-                triangles.push(complex.face_vertices(side));
-            }
-        }
-    }
-    triangles
+pub fn boundary_triangles(complex: &TetComplex, context: &RunContext) -> Vec<[VertexId; 3]> {
+    let belongs = |side: &TetFace| {
+        let other = complex.neighbor(*side);
+        other == TetFace::NONE
+            || complex.is_face_constrained(*side) && (*side < other || complex.is_ghost_tet(other.tet()))
+    };
+    let has_one =
+        |tet: TetId| complex.flags(tet).has_constrained_face() || complex.neighbors(tet).contains(&TetFace::NONE);
+    let tets = context.install(|| complex.finite_tets_where(has_one));
+    let sides = tets.into_iter().flat_map(|tet| (0..4).map(move |face| TetFace::new(tet, face)));
+    sides.filter(belongs).map(|side| complex.face_vertices(side)).collect()
 }
 
 /// Sizes of all vertices: the average boundary edge at boundary vertices times `cdf`, bounded by the field; vertices in
@@ -90,9 +85,9 @@ pub fn boundary_triangles(complex: &TetComplex) -> Vec<[VertexId; 3]> {
 ///
 /// # Errors
 /// As [`SizeField::bounded`].
-pub fn initial_sizes(complex: &TetComplex, field: &SizeField, factor: f64) -> Result<Vec<f64>> {
+pub fn initial_sizes(complex: &TetComplex, field: &SizeField, factor: f64, context: &RunContext) -> Result<Vec<f64>> {
     let points = complex.points();
-    let mut sizes = average_edges(points.len(), points, &boundary_triangles(complex));
+    let mut sizes = average_edges(points.len(), points, &boundary_triangles(complex, context));
     let mut sums = vec![(0.0, 0u32); points.len()];
     for tet in complex.finite_tets() {
         let row = complex.vertices(tet);
@@ -141,7 +136,8 @@ pub fn refine(
     let satisfaction = Satisfaction::new(options.edge_satisfied_factor, options.satisfied_angle);
     context.install(|| settled_of(complex, sizes, satisfaction, &mut active));
     let mut unused: Vec<VertexId> = Vec::new();
-    let mut clearances = clearances(complex.points(), &boundary_triangles(complex), sizes, options.size_factor);
+    let mut clearances =
+        clearances(complex.points(), &boundary_triangles(complex, context), sizes, options.size_factor);
     let mut total = Round::default();
     let mut rounds = 0;
     let mut places = Places::Front;
@@ -182,7 +178,8 @@ pub fn refine(
             // The front has come to rest; tets that it did not reach may still be far too large.
             places = Places::Centers;
             clear_rest(complex);
-            active = complex.finite_tets().filter(|&tet| !complex.flags(tet).has_user_bit(SATISFIED)).collect();
+            let is_left = |tet| !complex.flags(tet).has_user_bit(SATISFIED);
+            active = context.install(|| complex.finite_tets_where(is_left));
             continue;
         }
         places = Places::Front;
@@ -242,7 +239,7 @@ fn record_round(figures: &mut Statistics, number: usize, round: &Round) {
 /// Whether so many tets are within the limits of the options and of the numbering.
 ///
 /// # Errors
-/// [`Error::LimitReached`], [`Error::CapacityExceeded`].
+/// [`Error::LimitReached`].
 pub fn check_limits(options: &Options, tets: f64, what: &str) -> Result<()> {
     let megabytes = tets * BYTES_PER_TET / 1e6;
     if options.maximum_elements > 0 && tets > options.maximum_elements as f64 {
@@ -260,7 +257,11 @@ pub fn check_limits(options: &Options, tets: f64, what: &str) -> Result<()> {
     }
     let capacity = crate::mesh::tet_complex::MAX_TETS;
     if tets > capacity as f64 {
-        return Err(Error::CapacityExceeded { what: "tets", needed: tets as u64, limit: capacity as u64 });
+        let reason = format!(
+            "{tets:.3e} elements {what} need about {megabytes:.3e} MB; a mesh has at most {capacity} elements: larger sizes \
+             give fewer"
+        );
+        return Err(Error::LimitReached { reason });
     }
     Ok(())
 }
@@ -381,8 +382,7 @@ fn refine_round(
     places: Places,
 ) -> Result<Round> {
     if !options.group_active {
-        active.clear();
-        active.extend(complex.finite_tets().filter(|&tet| !complex.flags(tet).has_user_bit(RESTING)));
+        *active = context.install(|| complex.finite_tets_where(|tet| !complex.flags(tet).has_user_bit(RESTING)));
     }
     let satisfaction = Satisfaction::new(options.edge_satisfied_factor, options.satisfied_angle);
     let placement = Placement {
@@ -540,6 +540,12 @@ fn nearest_corner(complex: &TetComplex, tet: TetId, point: DVec3) -> VertexId {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn more_tets_than_can_be_counted_are_named_as_they_were_predicted() {
+        let message = check_limits(&Options::default(), 3.1e28, "predicted").unwrap_err().to_string();
+        assert!(message.contains("3.100e28 elements predicted") && message.contains("1073741823"), "{message}");
+    }
 
     #[test]
     fn what_the_allocator_refuses_is_a_limit() {

@@ -58,10 +58,10 @@ pub fn generate_volume(
     let recovered = complex.vertex_count();
     let mut options = options.clone();
     // A poor surface needs every flip there is.
-    options.flip_44 |= largest_surface_angle(complex) > options.low_quality_surface_angle;
+    options.flip_44 |= largest_surface_angle(complex, context) > options.low_quality_surface_angle;
     let options = &options;
     let free = SizeField::new(&sizing, input.source_surfaces, f64::INFINITY)?;
-    let mut sizes = initial_sizes(complex, &free, options.size_factor)?;
+    let mut sizes = initial_sizes(complex, &free, options.size_factor, context)?;
     let limit = if options.size_limit < 0.0 {
         f64::INFINITY
     } else if options.size_limit == 0.0 {
@@ -97,9 +97,9 @@ pub fn generate_volume(
 }
 
 /// The largest angle in a triangle of the boundary, degrees.
-fn largest_surface_angle(complex: &TetComplex) -> f64 {
+fn largest_surface_angle(complex: &TetComplex, context: &RunContext) -> f64 {
     let angle_at = |at: DVec3, p: DVec3, q: DVec3| (p - at).angle_between(q - at).to_degrees();
-    boundary_triangles(complex)
+    boundary_triangles(complex, context)
         .into_iter()
         .map(|triangle| {
             let [a, b, c] = triangle.map(|v| complex.point(v));

@@ -20,6 +20,7 @@
 //! 24 B a point + 4 B a vertex; 32 + 2 + 2 = 36 B a tet. At most 2^30 - 1 tets.
 
 use glam::DVec3;
+use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
 use super::mixed_mesh::{ElementKind, MixedMesh};
@@ -137,6 +138,18 @@ impl TetComplex {
     /// The ids of all live tets without the ghost vertex, in slot order.
     pub fn finite_tets(&self) -> impl Iterator<Item = TetId> + '_ {
         self.live_tets().filter(|&t| !self.is_ghost_tet(t))
+    }
+
+    /// The ids of the live tets without the ghost vertex that `keep` chooses, in slot order. Runs on the rayon pool it is
+    /// called in.
+    pub fn finite_tets_where(&self, keep: impl Fn(TetId) -> bool + Sync) -> Vec<TetId> {
+        const CHUNK: usize = 4096;
+        let flags = self.tet_flags.par_iter().enumerate().with_min_len(CHUNK);
+        flags
+            .filter(|(_, flags)| !flags.is_deleted())
+            .map(|(slot, _)| TetId::from_index(slot))
+            .filter(|&tet| !self.is_ghost_tet(tet) && keep(tet))
+            .collect()
     }
 
     /// Reserves room for `additional` tets.

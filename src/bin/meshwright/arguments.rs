@@ -8,6 +8,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
+use meshwright::context::MAX_THREADS;
 use meshwright::io::{Compression, Encoding, MeshFormat, Surfaces, WriteOptions};
 use meshwright::mesh::mixed_mesh::Space;
 use meshwright::parameters::{Kind, Multiplicity, Parameter, ParameterSet, Table, Value};
@@ -209,7 +210,8 @@ fn threads_argument() -> Arg {
     Arg::new("threads")
         .long("threads")
         .value_name("N")
-        .value_parser(value_parser!(usize))
+        .value_parser(value_parser!(i64).range(0..=MAX_THREADS as i64))
+        .allow_hyphen_values(true)
         .default_value("0")
         .help("Worker threads; 0 takes one per core")
 }
@@ -355,5 +357,5 @@ pub fn is_given(matches: &ArgMatches, name: &str) -> bool {
 
 /// Worker threads asked for; 0 for all.
 pub fn threads(matches: &ArgMatches) -> usize {
-    matches.try_get_one::<usize>("threads").ok().flatten().copied().unwrap_or(0)
+    matches.try_get_one::<i64>("threads").ok().flatten().map_or(0, |&count| count as usize)
 }

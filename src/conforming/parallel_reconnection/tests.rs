@@ -88,7 +88,7 @@ fn smart_smoothing_never_lowers_the_worst_tet() {
     let context = RunContext::with_threads(1).unwrap();
     let mut driver = Driver::for_quality(&Options::default(), &context);
     let mut complex = shaken_grid(5, 0.2);
-    let on_boundary = boundary_vertices(&complex);
+    let on_boundary = boundary_vertices(&complex, &context);
     let before = worst(&complex);
     let rule = SmoothingRule { target: Target::OptimalPlacement, coefficient: 0.5, acceptance: Acceptance::Smart };
     let vertices: Vec<VertexId> = (0..complex.vertex_count()).map(VertexId::from_index).collect();
@@ -107,7 +107,7 @@ fn treatment_lifts_the_worst_tets_on_any_number_of_threads() {
         let mut driver = Driver::for_quality(&Options::default(), &context);
         let mut complex = shaken_grid(9, 0.2);
         let mut sizes = vec![1.0; complex.vertex_count()];
-        let on_boundary = boundary_vertices(&complex);
+        let on_boundary = boundary_vertices(&complex, &context);
         let before = worst(&complex);
         let goal = BiasedSine::grade_of_angles(24.0, 145.0);
         for treatment in [Treatment::topological(goal), Treatment::everything(goal, Crowding::Allowed)] {
@@ -148,7 +148,7 @@ fn smoothing_brings_no_vertices_closer_than_their_sizes_allow() {
     let moved_with = |size: f64| {
         let mut driver = Driver::for_quality(&Options::default(), &context);
         let mut complex = shaken_grid(5, 0.2);
-        let on_boundary = boundary_vertices(&complex);
+        let on_boundary = boundary_vertices(&complex, &context);
         let before = complex.points().to_vec();
         let sizes = vec![size; before.len()];
         let rule = SmoothingRule { target: Target::OptimalPlacement, coefficient: 0.5, acceptance: Acceptance::Smart };
