@@ -119,8 +119,17 @@ pub fn fill_cavity(
     };
     let mut start: Vec<FrontFace> =
         faces.iter().map(|&face| FrontFace { face, candidates: 0, is_new: false }).collect();
-    for i in 0..start.len() {
-        start[i].candidates = filling.all_candidates(start[i].face, &start);
+    // Vertices on the right side of a face cost little, and a face that has few of them soon shows that there is no
+    // filling: the costly tests begin with such faces.
+    let mut order: Vec<(u32, usize)> = Vec::with_capacity(start.len());
+    for (i, front_face) in start.iter_mut().enumerate() {
+        front_face.candidates = filling.vertices_before(front_face.face);
+        order.push((front_face.candidates.count_ones(), i));
+    }
+    order.sort_unstable();
+    for (_, i) in order {
+        let FrontFace { face, candidates, .. } = start[i];
+        start[i].candidates = filling.clear_candidates(face, candidates, &start);
         if start[i].candidates == 0 {
             return None;
         }
@@ -221,7 +230,8 @@ impl CavityFilling {
         }
         next.extend(added.iter().map(|&face| FrontFace { face, candidates: 0, is_new: true }));
         for i in next.len() - added.len()..next.len() {
-            next[i].candidates = self.all_candidates(next[i].face, &next);
+            let before = self.vertices_before(next[i].face);
+            next[i].candidates = self.clear_candidates(next[i].face, before, &next);
             if next[i].candidates == 0 {
                 return None;
             }
@@ -229,13 +239,17 @@ impl CavityFilling {
         Some(next)
     }
 
-    fn all_candidates(&mut self, face: Face, front: &[FrontFace]) -> u64 {
+    /// The vertices with which the face makes a positive tet.
+    fn vertices_before(&self, face: Face) -> u64 {
         let [a, b, c] = face.map(|i| self.points[i as usize]);
+        let is_before = |v: usize| !face.contains(&(v as u8)) && orient3d(a, b, c, self.points[v]) > 0.0;
+        (0..self.points.len()).fold(0, |mask, v| mask | u64::from(is_before(v)) << v)
+    }
+
+    /// Those of `vertices` whose tet on the face keeps clear of the front.
+    fn clear_candidates(&mut self, face: Face, vertices: u64, front: &[FrontFace]) -> u64 {
         let mut mask = 0;
-        for v in 0..self.ids.len() as u8 {
-            if face.contains(&v) || orient3d(a, b, c, self.points[v as usize]) <= 0.0 {
-                continue;
-            }
+        for v in bits(vertices) {
             if self.is_clear_of_start(face, v)
                 && front.iter().filter(|g| g.is_new).all(|g| self.is_clear_of(face, v, g.face))
             {

@@ -305,12 +305,16 @@ fn star_cavity(
         let mut faults = hidden_faces(mesh, point, &cavity, marks);
         if faults.is_empty() {
             let shape = mesh.shape_of(&cavity);
+            if shape.segments.is_empty() {
+                return Ok((cavity, shape.front));
+            }
             let has = |tet: TetId, e: &EdgeKey| e.iter().all(|&v| mesh.complex.local_vertex(tet, v).is_some());
-            // The last tet that has a swallowed segment: the first ones contain the point.
-            let swallowed = shape.segments.first().and_then(|e| cavity.iter().rev().copied().find(|&tet| has(tet, e)));
-            match swallowed {
-                None => return Ok((cavity, shape.front)),
-                Some(tet) => faults.push((tet, None)),
+            for segment in &shape.segments {
+                if faults.iter().any(|(tet, _)| has(*tet, segment)) {
+                    continue;
+                }
+                // The last tet that has a swallowed segment: the first ones contain the point.
+                faults.extend(cavity.iter().rev().find(|tet| has(**tet, segment)).map(|&tet| (tet, None)));
             }
         }
         // A face that the point does not see stays on the border when others go: all such tets go at once.

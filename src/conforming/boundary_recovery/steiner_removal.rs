@@ -1,12 +1,11 @@
 //! Removes Steiner points from the volume.
 //!
 //! # Method
-//! For each point s, until a pass removes none:
-//! 1. the ball is joined to one vertex of its link (contraction), or
-//! 2. it is filled on the vertices of its link, or
-//! 3. it is filled together with a neighbouring tet, or
-//! 4. edges at s are removed by n-m flips, which thins the ball, and 1 and 2 are tried again, or
-//! 5. two Steiner points next to each other become one.
+//! For each point s, until passes remove none:
+//! 1. the ball is joined to one vertex of its link (contraction), which may be another Steiner point, or
+//! 2. it is filled on the vertices of its link, where it is small, or
+//! 3. it is filled together with neighbouring tets, or
+//! 4. edges at s are removed by n-m flips, which thins the ball, and 1 to 3 are tried again.
 //!
 //! # Source
 //! [Drakopoulos2017] 4.6.2 for 4; [GeorgeBorouchaki2003] for 1; the fillings are ours.
@@ -23,6 +22,9 @@ use crate::geometry::predicates::orient3d;
 use crate::index::{TetId, VertexId};
 use crate::mesh::tet_store::TetStore;
 
+/// Passes in a row without a point removed; each starts where the last one left the balls, and elsewhere on rings.
+const MOST_FRUITLESS: usize = 2;
+
 /// Removes what can be removed of `points`; returns what stays, ascending.
 ///
 /// # Errors
@@ -33,7 +35,9 @@ pub fn remove_steiner_points(
     effort: &Effort,
     context: &RunContext,
 ) -> Result<Vec<VertexId>> {
-    for pass in 0.. {
+    let mut fruitless = 0;
+    for turn in 0.. {
+        let effort = &Effort { turn, ..*effort };
         let before = points.len();
         let mut left = Vec::new();
         for vertex in points {
@@ -43,7 +47,8 @@ pub fn remove_steiner_points(
             }
         }
         points = left;
-        if points.is_empty() || (points.len() == before && pass > 0) {
+        fruitless = if points.len() < before { 0 } else { fruitless + 1 };
+        if points.is_empty() || fruitless == MOST_FRUITLESS {
             break;
         }
         for &vertex in &points {
@@ -71,52 +76,68 @@ pub fn center(mesh: &mut ConstrainedMesh, vertex: VertexId) {
 /// Those of tet creation.
 pub fn remove_vertex(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effort) -> Result<bool> {
     let mut budget = effort.budget;
-    if contract_or_fill(mesh, vertex, effort.steps, &mut budget)? {
+    let ball = mesh.ball(vertex);
+    let front = mesh.shape_of(&ball).front;
+    if contract(mesh, vertex, &ball, &front)? {
         return Ok(true);
     }
-    let ball = mesh.ball(vertex);
-    if effort.grow && ball.len() <= effort.tets {
-        for grown in grown_cavities(mesh, &ball, effort.tets) {
-            let shape = mesh.shape_of(&grown);
-            if shape.front.iter().any(|f| f.contains(&vertex)) {
-                continue;
-            }
-            mesh.cavities[0] += 1;
-            let Some(new) = fill_cavity(&shape.front, &shape.sheets, |v| mesh.at(v), effort.steps, &mut budget) else {
-                continue;
-            };
-            if contains_edges(&new, &shape.segments) && mesh.replace(&grown, &new)? {
-                mesh.cavities[1] += 1;
-                mesh.complex.set_tet_of(vertex, TetId::NONE);
-                return Ok(true);
-            }
-        }
+    // A search grows fast with the ball: large ones are thinned first.
+    if ball.len() <= effort.tets
+        && (fill_ball(mesh, vertex, &ball, &front, effort.steps, &mut budget)?
+            || (effort.grow && fill_grown(mesh, vertex, &ball, effort, &mut budget)?))
+    {
+        return Ok(true);
     }
     thin_ball(mesh, vertex, effort)?;
     budget = budget.max(effort.budget / 2);
-    contract_or_fill(mesh, vertex, effort.steps, &mut budget)
+    let thinned = mesh.ball(vertex);
+    let front = mesh.shape_of(&thinned).front;
+    Ok(contract(mesh, vertex, &thinned, &front)?
+        || fill_ball(mesh, vertex, &thinned, &front, effort.steps, &mut budget)?
+        || (effort.grow && ball.len() > effort.tets && fill_grown(mesh, vertex, &thinned, effort, &mut budget)?))
 }
 
-fn contract_or_fill(mesh: &mut ConstrainedMesh, vertex: VertexId, steps: usize, budget: &mut usize) -> Result<bool> {
-    let ball = mesh.ball(vertex);
-    let front = mesh.shape_of(&ball).front;
-    if front.iter().flatten().any(|&v| v.is_ghost() || v == vertex) {
-        return Ok(false);
-    }
-    let mut targets: Vec<VertexId> = front.iter().flatten().copied().collect();
-    targets.sort_unstable();
-    targets.dedup();
-    for target in targets {
-        let cone = front.iter().filter(|f| !f.contains(&target)).map(|&[a, b, c]| [a, b, c, target]);
-        let new: Vec<[VertexId; 4]> = cone.collect();
-        if mesh.replace(&ball, &new)? {
+/// Fills the ball of a vertex, enlarged by neighbours, on the other vertices.
+fn fill_grown(
+    mesh: &mut ConstrainedMesh,
+    vertex: VertexId,
+    ball: &[TetId],
+    effort: &Effort,
+    budget: &mut usize,
+) -> Result<bool> {
+    for grown in grown_cavities(mesh, ball, effort.tets) {
+        let shape = mesh.shape_of(&grown);
+        if shape.front.iter().any(|f| f.contains(&vertex)) {
+            continue;
+        }
+        mesh.cavities[0] += 1;
+        let Some(new) = fill_cavity(&shape.front, &shape.sheets, |v| mesh.at(v), effort.steps, budget) else {
+            continue;
+        };
+        if contains_edges(&new, &shape.segments) && mesh.replace(&grown, &new)? {
+            mesh.cavities[1] += 1;
             mesh.complex.set_tet_of(vertex, TetId::NONE);
             return Ok(true);
         }
     }
+    Ok(false)
+}
+
+/// Fills the ball of a vertex on the other vertices.
+fn fill_ball(
+    mesh: &mut ConstrainedMesh,
+    vertex: VertexId,
+    ball: &[TetId],
+    front: &[[VertexId; 3]],
+    steps: usize,
+    budget: &mut usize,
+) -> Result<bool> {
+    if front.iter().flatten().any(|&v| v.is_ghost() || v == vertex) {
+        return Ok(false);
+    }
     mesh.cavities[0] += 1;
-    let Some(new) = fill_cavity(&front, &[], |v| mesh.at(v), steps, budget) else { return Ok(false) };
-    if !mesh.replace(&ball, &new)? {
+    let Some(new) = fill_cavity(front, &[], |v| mesh.at(v), steps, budget) else { return Ok(false) };
+    if !mesh.replace(ball, &new)? {
         return Ok(false);
     }
     mesh.cavities[1] += 1;
@@ -124,29 +145,52 @@ fn contract_or_fill(mesh: &mut ConstrainedMesh, vertex: VertexId, steps: usize, 
     Ok(true)
 }
 
+/// Joins the front of the ball of a vertex to one vertex of it, which that vertex moves to.
+fn contract(mesh: &mut ConstrainedMesh, vertex: VertexId, ball: &[TetId], front: &[[VertexId; 3]]) -> Result<bool> {
+    if front.iter().flatten().any(|&v| v.is_ghost() || v == vertex) {
+        return Ok(false);
+    }
+    let mut targets: Vec<VertexId> = front.iter().flatten().copied().collect();
+    targets.sort_unstable();
+    targets.dedup();
+    let mut new: Vec<[VertexId; 4]> = Vec::with_capacity(front.len());
+    for target in targets {
+        new.clear();
+        new.extend(front.iter().filter(|f| !f.contains(&target)).map(|&[a, b, c]| [a, b, c, target]));
+        if mesh.replace(ball, &new)? {
+            mesh.complex.set_tet_of(vertex, TetId::NONE);
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
 /// Removes edges at the vertex while that shortens its ball.
+///
+/// # Errors
+/// Those of tet creation.
 pub fn thin_ball(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effort) -> Result<()> {
     let mut tries = effort.tries;
     loop {
         let ball = mesh.ball(vertex);
-        // Each neighbour with a tet of the edge to it, which stays until something changes: balls may be large.
+        // Each neighbour with a tet of the edge to it, which may be gone by then: balls may be large.
         let corners = ball.iter().flat_map(|&tet| mesh.complex.vertices(tet).map(|v| (v, tet)));
         let mut link: Vec<(VertexId, TetId)> = corners.filter(|(v, _)| *v != vertex && !v.is_ghost()).collect();
         link.sort_by_key(|(v, _)| *v);
         link.dedup_by_key(|(v, _)| *v);
-        let mut thinned = false;
         for (other, tet) in link {
-            if let Some(plan) = plan_removal(mesh, [vertex, other], tet, effort.ring) {
-                thinned |= mesh.replace(&plan.old, &plan.new)?;
-            } else if effort.depth > 0 {
-                let reach = Reach { depth: effort.depth.min(2), ring: effort.ring, turn: 0, aim: None };
-                thinned |= remove_edge(mesh, ([vertex, other], tet), reach, &mut tries, &mut Journal::default())?;
+            // What is around an edge that lost its tet has changed: the next round has it anew, or it is gone.
+            if !mesh.complex.is_live(tet) || mesh.complex.local_vertex(tet, other).is_none() {
+                continue;
             }
-            if thinned {
-                break;
+            if let Some(plan) = plan_removal(mesh, [vertex, other], tet, effort.ring) {
+                mesh.replace(&plan.old, &plan.new)?;
+            } else if effort.depth > 0 {
+                let reach = Reach { depth: effort.depth.min(2), ring: effort.ring, turn: effort.turn, aim: None };
+                remove_edge(mesh, ([vertex, other], tet), reach, &mut tries, &mut Journal::default())?;
             }
         }
-        if !thinned || mesh.ball(vertex).len() >= ball.len() {
+        if mesh.ball(vertex).len() >= ball.len() {
             return Ok(());
         }
     }

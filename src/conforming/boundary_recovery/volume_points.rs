@@ -40,6 +40,8 @@ const MOST_PASSES: usize = 10;
 const LEAST_GAP: f64 = 0.05;
 /// Share of a segment at its ends that places keep off: a point there makes a short edge.
 const END_SHARE: f64 = 0.05;
+/// Edges looked at after a point was put in place, at first.
+const SHORT_TRIES: usize = 20;
 /// Halvings of the way by which a point leaves a face.
 const MOST_HALVINGS: i32 = 40;
 
@@ -53,18 +55,21 @@ pub fn unlock_edges(
     effort: &Effort,
     context: &RunContext,
 ) -> Result<Vec<EdgeKey>> {
-    for _ in 0..MOST_PASSES {
+    // A point that opens a knot mostly shows it at once; what resists gets the whole effort.
+    let short = Effort { tries: effort.tries.min(SHORT_TRIES), tets: 0, everywhere: false, ..*effort };
+    for pass in 0..MOST_PASSES {
         let before = missing.len();
         let mut left = Vec::new();
         for edge in missing {
             context.check()?;
-            if !recover_edge(mesh, edge, effort)? && !unlock_edge(mesh, edge, effort)? {
+            let trial = if pass == 0 { &short } else { effort };
+            if !recover_edge(mesh, edge, trial)? && !unlock_edge(mesh, edge, trial)? {
                 left.push(edge);
             }
         }
         missing = left;
         // A pass that recovers little is not worth another one.
-        if missing.is_empty() || 10 * (before - missing.len()) < before {
+        if missing.is_empty() || (pass > 0 && 10 * (before - missing.len()) < before) {
             break;
         }
     }
