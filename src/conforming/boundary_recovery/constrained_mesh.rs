@@ -188,6 +188,13 @@ impl ConstrainedMesh {
         ball
     }
 
+    /// Whether a tet has the vertex: cavities are filled on the vertices of their border, so that a point inside of one
+    /// that no constraint holds is gone.
+    pub fn has_vertex(&self, vertex: VertexId) -> bool {
+        let tet = self.complex.tet_of(vertex).some();
+        tet.is_some_and(|tet| self.complex.is_live(tet) && self.complex.local_vertex(tet, vertex).is_some())
+    }
+
     /// Whether the mesh has the edge.
     pub fn has_edge(&mut self, a: VertexId, b: VertexId) -> bool {
         find_edge(&self.complex, a, b, &mut self.ball).is_some()
