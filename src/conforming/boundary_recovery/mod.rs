@@ -218,7 +218,9 @@ pub fn restore_surface(
         }
     }
     report.seconds[2] = start.elapsed().as_secs_f64();
-    Ok(std::mem::take(&mut mesh.volume_points))
+    let mut volume = std::mem::take(&mut mesh.volume_points);
+    volume.retain(|&vertex| mesh.has_vertex(vertex));
+    Ok(volume)
 }
 
 /// Undoes the splits that can be undone; returns the number left.
