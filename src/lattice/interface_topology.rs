@@ -32,6 +32,8 @@ pub struct InterfaceTopology<'a> {
     neighbors: &'a [[u32; 4]],
     starts: Vec<u32>,
     balls: Vec<u32>,
+    /// Whether a face at the vertex has nothing behind it.
+    open: Vec<bool>,
 }
 
 /// A change of labels that was found to help.
@@ -57,7 +59,13 @@ impl<'a> InterfaceTopology<'a> {
                 next[*v as usize] += 1;
             }
         }
-        Self { tets, neighbors, starts, balls }
+        let mut open = vec![false; vertex_count];
+        for (tet, row) in tets.iter().zip(neighbors).filter(|(_, row)| row.contains(&OUTSIDE)) {
+            for (face, _) in TET_FACES.iter().zip(row).filter(|(_, near)| **near == OUTSIDE) {
+                face.iter().for_each(|v| open[tet[*v] as usize] = true);
+            }
+        }
+        Self { tets, neighbors, starts, balls, open }
     }
 
     fn ball(&self, vertex: u32) -> &[u32] {
@@ -99,7 +107,7 @@ impl<'a> InterfaceTopology<'a> {
 
     /// Whether a face at the vertex has nothing behind it.
     pub fn is_open(&self, vertex: u32) -> bool {
-        self.ball(vertex).iter().any(|e| self.faces_at(*e, vertex).any(|(_, near)| near == OUTSIDE))
+        self.open[vertex as usize]
     }
 
     /// Faces of an element that hold the vertex, with the element behind each.
@@ -111,15 +119,66 @@ impl<'a> InterfaceTopology<'a> {
     }
 
     fn excess(&self, vertex: u32, labels: &[Label]) -> i64 {
-        let first = self.ball(vertex).first().map(|e| labels[*e as usize]);
-        if self.ball(vertex).iter().all(|e| Some(labels[*e as usize]) == first) && !self.is_open(vertex) {
-            return 0;
+        let ball = self.ball(vertex);
+        let first = ball.first().map(|e| labels[*e as usize]);
+        let Some(other) = ball.iter().map(|e| labels[*e as usize]).find(|l| Some(*l) != first) else {
+            return if self.is_open(vertex) { self.excess_of_all(vertex, labels) } else { 0 };
+        };
+        let is_of_two = |l: Label| Some(l) == first || l == other;
+        if self.is_open(vertex) || !ball.iter().all(|e| is_of_two(labels[*e as usize])) {
+            return self.excess_of_all(vertex, labels);
         }
+        // What is not of the one label is of the other: both ask for the same groups.
+        let foreground = first.into_iter().chain([other]).filter(|l| !l.is_background()).count();
+        (self.group_count(vertex, labels) as i64 - 2) * foreground as i64
+    }
+
+    fn excess_of_all(&self, vertex: u32, labels: &[Label]) -> i64 {
         let around = self.labels_around(vertex, labels);
         if around.len() < 2 {
             return 0;
         }
         around.into_iter().filter(|l| !l.is_background()).map(|l| self.excess_of(vertex, l, labels)).sum()
+    }
+
+    /// Number of groups of equal label around a vertex, connected through faces at the vertex.
+    fn group_count(&self, vertex: u32, labels: &[Label]) -> usize {
+        let ball = self.ball(vertex);
+        let (mut seen, mut found) = (0u128, 0);
+        if ball.len() > 128 {
+            return self
+                .labels_around(vertex, labels)
+                .iter()
+                .map(|l| self.groups(vertex, |o| o == *l, labels).len())
+                .sum();
+        }
+        let mut stack = [0u8; 128];
+        for start in 0..ball.len() {
+            if seen >> start & 1 != 0 {
+                continue;
+            }
+            found += 1;
+            seen |= 1 << start;
+            stack[0] = start as u8;
+            let mut waiting = 1;
+            while waiting > 0 {
+                waiting -= 1;
+                let element = ball[usize::from(stack[waiting])];
+                for (_, near) in self.faces_at(element, vertex) {
+                    if near == OUTSIDE || labels[near as usize] != labels[element as usize] {
+                        continue;
+                    }
+                    // Balls are listed by increasing element.
+                    let Ok(position) = ball.binary_search(&near) else { continue };
+                    if seen >> position & 1 == 0 {
+                        seen |= 1 << position;
+                        stack[waiting] = position as u8;
+                        waiting += 1;
+                    }
+                }
+            }
+        }
+        found
     }
 
     /// Groups of a label around a vertex, and of all that is not the label, beyond one of each.
