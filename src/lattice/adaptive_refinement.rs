@@ -23,6 +23,7 @@ use crate::error::{Error, Finding, FindingCode, Result, Severity};
 use crate::image::connected_components::{Components, Connectivity, Members};
 use crate::image::distance_transform::distance_to_other_labels;
 use crate::image::label_image::LabelImage;
+use crate::index::Label;
 use crate::lattice::bcc_lattice::{Field, LatticeFrame};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
@@ -38,7 +39,7 @@ use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::region_gaps::elements_at_gaps;
 use crate::lattice::report::Report;
 use crate::lattice::subdivision_criteria::{Deficit, Targets, finest_level, mark_leaves};
-use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, count_voxels, mismatches};
+use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, count_voxels, mismatches, recounted};
 
 /// Rounds of refinement for the sake of topology: a pinch that comes from the image's own shape is gone after two or three
 /// (edges of 4 voxels become half a voxel), one that the lattice makes anew each time never goes.
@@ -142,15 +143,16 @@ impl Rounds<'_> {
                 let by_centroid = elements.labels.clone();
                 let neighbors = self.neighbors(lattice, &elements)?;
                 let relabelled = self.relabel(&mut elements, &neighbors, |_| false);
-                found = self.count(lattice, &elements)?;
+                let at_centroid = found;
+                found = self.recount(&at_centroid, &by_centroid, lattice, &elements)?;
                 let after = self.deficit(&found);
                 if after.is_worse_than(&deficit) {
                     marked = self.mark(lattice, &elements, &found, &after, finest);
                     if !marked.contains(&true) {
                         // At the finest level: keep the elements that hold voxels of their own label.
-                        elements.labels = by_centroid;
+                        elements.labels.clone_from(&by_centroid);
                         self.relabel_within_fidelity(lattice, &mut elements, &neighbors);
-                        found = self.count(lattice, &elements)?;
+                        found = self.recount(&at_centroid, &by_centroid, lattice, &elements)?;
                     }
                 }
                 deficit = self.deficit(&found);
@@ -166,12 +168,12 @@ impl Rounds<'_> {
                     if self.input.region_threshold.is_some() {
                         let limit = RefinementLimit { finest, rounds_left: topology_rounds };
                         topology_rounds = topology_rounds.saturating_sub(1);
-                        marked = self.make_manifold(lattice, &mut elements, neighbors, &deficit, limit)?;
+                        (marked, found) =
+                            self.make_manifold(lattice, &mut elements, neighbors, found, &deficit, limit)?;
                     } else if self.smooths {
-                        self.relabel_pinches(lattice, &mut elements, &neighbors, &deficit)?;
-                        self.carve_pinches(lattice, &mut elements, neighbors)?;
+                        found = self.relabel_pinches(lattice, &mut elements, &neighbors, found, &deficit)?;
+                        (_, found) = self.carve_pinches(lattice, &mut elements, neighbors, found)?;
                     }
-                    found = self.count(lattice, &elements)?;
                     deficit = self.deficit(&found);
                 }
                 if !marked.contains(&true) {
@@ -188,6 +190,18 @@ impl Rounds<'_> {
 
     fn count(&mut self, lattice: &RedGreenLattice, elements: &Elements) -> Result<Vec<Mismatch>> {
         self.report.timed("fidelity", || mismatches(lattice, elements, &self.components, self.context))
+    }
+
+    /// The mismatches after labels have changed from `before`, when there were those `found`.
+    fn recount(
+        &mut self,
+        found: &[Mismatch],
+        before: &[Label],
+        lattice: &RedGreenLattice,
+        elements: &Elements,
+    ) -> Result<Vec<Mismatch>> {
+        let (components, context) = (&self.components, self.context);
+        self.report.timed("fidelity", || recounted(found, before, lattice, elements, components, context))
     }
 
     fn deficit(&self, found: &[Mismatch]) -> Deficit {
@@ -236,49 +250,53 @@ impl Rounds<'_> {
         self.relabel(elements, neighbors, |e| holds[e]);
     }
 
-    /// Relabels pinched elements where that costs neither fidelity nor a component.
+    /// Relabels pinched elements where that costs neither fidelity nor a component; returns the mismatches then.
     fn relabel_pinches(
         &mut self,
         lattice: &RedGreenLattice,
         elements: &mut Elements,
         neighbors: &[[u32; 4]],
+        found: Vec<Mismatch>,
         before: &Deficit,
-    ) -> Result<()> {
+    ) -> Result<Vec<Mismatch>> {
         let vertices = lattice.vertices.positions.len();
         let unchanged = elements.labels.clone();
         let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices);
         let changed = self.report.timed("topology", || topology.repair(&mut elements.labels, |_| false));
         if changed == 0 {
-            return Ok(());
+            return Ok(found);
         }
-        let found = self.count(lattice, elements)?;
-        if self.deficit(&found).is_worse_than(before) {
+        let after = self.recount(&found, &unchanged, lattice, elements)?;
+        if self.deficit(&after).is_worse_than(before) {
             elements.labels = unchanged;
-        } else {
-            self.report.add("topology.relabelled", changed as f64);
+            return Ok(found);
         }
-        Ok(())
+        self.report.add("topology.relabelled", changed as f64);
+        Ok(after)
     }
 
-    /// Relabels loose regions and pinched elements; returns the leaves to refine where that was not enough. When nothing
-    /// is to be refined any more, what still pinches is carved.
+    /// Relabels loose regions and pinched elements; returns the leaves to refine where that was not enough, and
+    /// the mismatches. When nothing is to be refined any more, what still pinches is carved.
     fn make_manifold(
         &mut self,
         lattice: &mut RedGreenLattice,
         elements: &mut Elements,
         neighbors: Vec<[u32; 4]>,
+        mut found: Vec<Mismatch>,
         before: &Deficit,
         limit: RefinementLimit,
-    ) -> Result<Vec<bool>> {
+    ) -> Result<(Vec<bool>, Vec<Mismatch>)> {
         let vertices = lattice.vertices.positions.len();
         let unchanged = elements.labels.clone();
         let (threshold, labels) = (self.input.region_threshold.unwrap_or(0.0), self.input.values.len());
         relabel_loose_regions(lattice, elements, &neighbors, labels, threshold);
-        let found = self.count(lattice, elements)?;
-        if self.deficit(&found).is_worse_than(before) {
+        let after = self.recount(&found, &unchanged, lattice, elements)?;
+        if self.deficit(&after).is_worse_than(before) {
             elements.labels = unchanged;
+        } else {
+            found = after;
         }
-        self.relabel_pinches(lattice, elements, &neighbors, before)?;
+        found = self.relabel_pinches(lattice, elements, &neighbors, found, before)?;
         let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
         let pinched = topology.pinched(&elements.labels);
         let regions = regions_of(&elements.labels, &neighbors);
@@ -296,13 +314,13 @@ impl Rounds<'_> {
         if marked.contains(&true) {
             // A few gaps must not refine the whole lattice.
             lattice.close_locally();
-            return Ok(marked);
+            return Ok((marked, found));
         }
-        let neighbors = self.carve_pinches(lattice, elements, neighbors)?;
+        let (neighbors, found) = self.carve_pinches(lattice, elements, neighbors, found)?;
         let vertices = lattice.vertices.positions.len();
         self.tell_topology(lattice, elements, &InterfaceTopology::new(&elements.tets, &neighbors, vertices));
         self.tell_regions(&surplus_of(&regions_of(&elements.labels, &neighbors), &self.face_components(), labels));
-        Ok(marked)
+        Ok((marked, found))
     }
 
     /// Components of the image through faces: what a label may have at most.
@@ -310,13 +328,15 @@ impl Rounds<'_> {
         Components::new(self.input.image, Connectivity::Face, Members::Foreground)
     }
 
-    /// Carves what still pinches; returns the neighbours afterwards.
+    /// Carves what still pinches; returns neighbours and mismatches afterwards.
     fn carve_pinches(
         &mut self,
         lattice: &mut RedGreenLattice,
         elements: &mut Elements,
         mut neighbors: Vec<[u32; 4]>,
-    ) -> Result<Vec<[u32; 4]>> {
+        found: Vec<Mismatch>,
+    ) -> Result<(Vec<[u32; 4]>, Vec<Mismatch>)> {
+        let mut is_carved = false;
         for _ in 0..CARVING_ROUNDS {
             let vertices = lattice.vertices.positions.len();
             let pinched = InterfaceTopology::new(&elements.tets, &neighbors, vertices).pinched(&elements.labels);
@@ -331,9 +351,11 @@ impl Rounds<'_> {
             if carved == 0 {
                 break;
             }
+            is_carved = true;
             neighbors = self.neighbors(lattice, elements)?;
         }
-        Ok(neighbors)
+        let found = if is_carved { self.count(lattice, elements)? } else { found };
+        Ok((neighbors, found))
     }
 
     fn tell_regions(&self, surplus: &[i64]) {

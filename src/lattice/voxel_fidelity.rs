@@ -55,33 +55,59 @@ pub fn mismatches(
     components: &Components,
     context: &RunContext,
 ) -> Result<Vec<Mismatch>> {
-    let chunks: Vec<Vec<Mismatch>> = (0..elements.tets.len().div_ceil(CHUNK))
-        .into_par_iter()
-        .map(|c| {
-            context.check()?;
-            let mut found = Vec::new();
-            for e in c * CHUNK..((c + 1) * CHUNK).min(elements.tets.len()) {
-                let first = found.len();
-                let label = elements.labels[e];
-                for_each_foreign_voxel(lattice, &elements.tets[e], label, |index, voxel_label| {
-                    let component = components.component_at(index.x as usize, index.y as usize, index.z as usize);
-                    let component = component.unwrap_or(u32::MAX);
-                    let same = |m: &&mut Mismatch| m.voxel_label == voxel_label && m.component == component;
-                    match found[first..].iter_mut().find(same) {
-                        Some(mismatch) => mismatch.voxels += 1,
-                        None => found.push(Mismatch {
-                            element: e as u32,
-                            element_label: label,
-                            voxel_label,
-                            component,
-                            voxels: 1,
-                        }),
+    mismatches_of(lattice, elements, 0..elements.tets.len() as u32, components, context)
+}
+
+/// The mismatches after labels have changed, from those before: `found`, with the labels `before`.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn recounted(
+    found: &[Mismatch],
+    before: &[Label],
+    lattice: &RedGreenLattice,
+    elements: &Elements,
+    components: &Components,
+    context: &RunContext,
+) -> Result<Vec<Mismatch>> {
+    let has_changed = |e: u32| before[e as usize] != elements.labels[e as usize];
+    let changed: Vec<u32> =
+        (0..before.len() as u32).into_par_iter().with_min_len(CHUNK).filter(|e| has_changed(*e)).collect();
+    let anew = mismatches_of(lattice, elements, changed, components, context)?;
+    let mut all: Vec<Mismatch> = found.iter().filter(|m| !has_changed(m.element)).copied().chain(anew).collect();
+    // Stable: those of one element keep their order.
+    all.sort_by_key(|m| m.element);
+    Ok(all)
+}
+
+fn mismatches_of(
+    lattice: &RedGreenLattice,
+    elements: &Elements,
+    among: impl IntoParallelIterator<Item = u32, Iter: IndexedParallelIterator>,
+    components: &Components,
+    context: &RunContext,
+) -> Result<Vec<Mismatch>> {
+    let of_chunk = |chunk: Vec<u32>| {
+        context.check()?;
+        let mut found = Vec::new();
+        for e in chunk {
+            let first = found.len();
+            let label = elements.labels[e as usize];
+            for_each_foreign_voxel(lattice, &elements.tets[e as usize], label, |index, voxel_label| {
+                let component = components.component_at(index.x as usize, index.y as usize, index.z as usize);
+                let component = component.unwrap_or(u32::MAX);
+                let same = |m: &&mut Mismatch| m.voxel_label == voxel_label && m.component == component;
+                match found[first..].iter_mut().find(same) {
+                    Some(mismatch) => mismatch.voxels += 1,
+                    None => {
+                        found.push(Mismatch { element: e, element_label: label, voxel_label, component, voxels: 1 });
                     }
-                });
-            }
-            Ok(found)
-        })
-        .collect::<Result<_>>()?;
+                }
+            });
+        }
+        Ok(found)
+    };
+    let chunks: Vec<Vec<Mismatch>> = among.into_par_iter().chunks(CHUNK).map(of_chunk).collect::<Result<_>>()?;
     Ok(chunks.concat())
 }
 
