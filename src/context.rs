@@ -93,7 +93,7 @@ impl Drop for PoolInner {
 }
 
 /// Cancels a run from any thread.
-#[derive(Clone, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct CancelToken(Arc<AtomicBool>);
 
 impl CancelToken {

@@ -25,6 +25,7 @@
 use glam::DVec3;
 use rustc_hash::FxHashMap;
 
+use crate::context::CancelToken;
 use crate::geometry::intersection::segment_meets_triangle;
 use crate::geometry::predicates::orient3d;
 use crate::index::VertexId;
@@ -66,12 +67,12 @@ struct FrontFace {
 
 /// Fills the polyhedron bounded by `front` (a tet `(a, b, c, apex)` on each face is positive), containing every face of
 /// `sheets`, with at most `steps` tets placed, which `budget` pays for. `None` where there is no filling or it was not
-/// found.
+/// found, or `cancel` was used: nothing is left of the budget then.
 pub fn fill_cavity(
     front: &[[VertexId; 3]],
     sheets: &[[VertexId; 3]],
     point_of: impl Fn(VertexId) -> DVec3,
-    steps: usize,
+    (steps, cancel): (usize, &CancelToken),
     budget: &mut usize,
 ) -> Option<Vec<[VertexId; 4]>> {
     let setup = 2 + front.len() * front.len() / SETUP_SHARE;
@@ -128,6 +129,10 @@ pub fn fill_cavity(
     }
     order.sort_unstable();
     for (_, i) in order {
+        if cancel.is_cancelled() {
+            *budget = 0;
+            return None;
+        }
         let FrontFace { face, candidates, .. } = start[i];
         start[i].candidates = filling.clear_candidates(face, candidates, &start);
         if start[i].candidates == 0 {
@@ -136,8 +141,8 @@ pub fn fill_cavity(
     }
     let steps = steps.min(*budget);
     filling.steps_left = steps;
-    let found = filling.search(&start);
-    *budget -= steps - filling.steps_left;
+    let found = filling.search(&start, cancel);
+    *budget = if cancel.is_cancelled() { 0 } else { *budget - (steps - filling.steps_left) };
     found.then(|| filling.tets.iter().map(|t| t.map(|i| filling.ids[i as usize])).collect())
 }
 
@@ -163,18 +168,18 @@ fn other_faces([i, j, k]: Face, v: u8) -> [Face; 3] {
 }
 
 impl CavityFilling {
-    fn search(&mut self, front: &[FrontFace]) -> bool {
+    fn search(&mut self, front: &[FrontFace], cancel: &CancelToken) -> bool {
         let Some(position) = (0..front.len()).min_by_key(|&i| front[i].candidates.count_ones()) else { return true };
         let FrontFace { face, candidates, .. } = front[position];
         for apex in self.ordered(face, candidates, front) {
-            if self.steps_left == 0 {
+            if self.steps_left == 0 || cancel.is_cancelled() {
                 return false;
             }
             // A step costs what its front costs to look through.
             self.steps_left = self.steps_left.saturating_sub(1 + front.len() / STEP_SHARE);
             let Some(next) = self.place(front, position, apex) else { continue };
             self.tets.push([face[0], face[1], face[2], apex]);
-            if self.search(&next) {
+            if self.search(&next, cancel) {
                 return true;
             }
             self.tets.pop();
@@ -344,7 +349,8 @@ mod tests {
 
     fn fill(points: &[[f64; 3]], front: &[[u32; 3]], sheets: &[[u32; 3]]) -> Option<Vec<[VertexId; 4]>> {
         let ids = |faces: &[[u32; 3]]| faces.iter().map(|f| f.map(VertexId)).collect::<Vec<_>>();
-        fill_cavity(&ids(front), &ids(sheets), |v| DVec3::from_array(points[v.index()]), 10_000, &mut 20_000)
+        let point_of = |v: VertexId| DVec3::from_array(points[v.index()]);
+        fill_cavity(&ids(front), &ids(sheets), point_of, (10_000, &CancelToken::default()), &mut 20_000)
     }
 
     const BIPYRAMID: [[f64; 3]; 5] = [[1., 0., 0.], [-0.5, 0.8, 0.], [-0.5, -0.8, 0.], [0., 0., 1.], [0., 0., -1.]];
@@ -356,6 +362,18 @@ mod tests {
         assert!(fill(&BIPYRAMID, &BIPYRAMID_FACES, &[]).is_some());
         assert_eq!(fill(&BIPYRAMID, &BIPYRAMID_FACES, &[[0, 1, 2]]).unwrap().len(), 2);
         assert_eq!(fill(&BIPYRAMID, &BIPYRAMID_FACES, &[[0, 3, 4]]).unwrap().len(), 3);
+    }
+
+    #[test]
+    fn a_cancelled_search_finds_nothing_and_leaves_no_budget() {
+        let front = BIPYRAMID_FACES.map(|f| f.map(VertexId));
+        let point_of = |v: VertexId| DVec3::from_array(BIPYRAMID[v.index()]);
+        let (cancel, mut budget) = (CancelToken::default(), 20_000);
+        assert!(fill_cavity(&front, &[], point_of, (10_000, &cancel), &mut budget).is_some());
+        assert!(budget > 0);
+        cancel.cancel();
+        assert_eq!(fill_cavity(&front, &[], point_of, (10_000, &cancel), &mut budget), None);
+        assert_eq!(budget, 0);
     }
 
     #[test]

@@ -22,7 +22,9 @@
 use glam::DVec3;
 use rustc_hash::{FxHashMap, FxHashSet};
 
+use super::cavity_filling::fill_cavity;
 use super::steiner_points::CavityMarks;
+use crate::context::CancelToken;
 use crate::error::Result;
 use crate::geometry::predicates::orient3d;
 use crate::index::{Label, TetFace, TetId, VertexId};
@@ -66,6 +68,8 @@ pub struct ConstrainedMesh {
     pub keeps_faces: bool,
     /// The tets that the last change made, in the order of its rows.
     pub created: Vec<TetId>,
+    /// Stops searches that take long: they find nothing then, and whoever asked ends at its next check.
+    pub cancel: CancelToken,
     /// What undoes the changes of the trial under way.
     trial: Option<Vec<Undo>>,
     ball: Vec<TetId>,
@@ -356,6 +360,17 @@ impl ConstrainedMesh {
             change.1.clone_from(&self.created);
         }
         Ok(true)
+    }
+
+    /// A filling of a polyhedron as by [`fill_cavity`], or `None`, also where the run is cancelled.
+    pub fn fill(
+        &self,
+        front: &[[VertexId; 3]],
+        sheets: &[[VertexId; 3]],
+        steps: usize,
+        budget: &mut usize,
+    ) -> Option<Vec<[VertexId; 4]>> {
+        fill_cavity(front, sheets, |v| self.at(v), (steps, &self.cancel), budget)
     }
 
     /// Begins a trial: [`Self::end_trial`] keeps or undoes what is changed until then.

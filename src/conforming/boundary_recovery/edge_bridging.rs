@@ -24,7 +24,6 @@
 use rustc_hash::FxHashSet;
 
 use super::Effort;
-use super::cavity_filling::fill_cavity;
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, edge_key};
 use super::edge_recovery::{fill_with_edge, recover_edge};
 use super::face_recovery::parts_of_front;
@@ -209,7 +208,7 @@ fn fill_parts(
 ) -> Option<Filling> {
     let (mut tets, mut points) = (Vec::new(), Vec::new());
     for part in parts {
-        if let Some(filled) = fill_cavity(part, &[], |v| mesh.at(v), FILL_STEPS, budget) {
+        if let Some(filled) = mesh.fill(part, &[], FILL_STEPS, budget) {
             tets.extend(filled);
             continue;
         }

@@ -17,7 +17,6 @@
 //! keeping shorter rings; filling the crossed tets: ours.
 
 use super::Effort;
-use super::cavity_filling::fill_cavity;
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, edge_key};
 use super::crossings::{Crossing, Path, first_crossing, tets_along, trace};
 use super::edge_removal::{Journal, Plan, plan_flip_23, remove_edge};
@@ -121,7 +120,7 @@ pub fn fill_with_edge(
         let mut sheets = shape.sheets.clone();
         sheets.push([a, b, p]);
         mesh.cavities[0] += 1;
-        let Some(new) = fill_cavity(&shape.front, &sheets, |v| mesh.at(v), steps, budget) else { continue };
+        let Some(new) = mesh.fill(&shape.front, &sheets, steps, budget) else { continue };
         if contains_edges(&new, &shape.segments) && mesh.replace(tets, &new)? {
             mesh.cavities[1] += 1;
             return Ok(true);
@@ -198,6 +197,9 @@ fn shorten(
 ) -> Result<Option<Path>> {
     let mut journal = Journal::default();
     for position in 0..count {
+        if mesh.cancel.is_cancelled() {
+            return Ok(None);
+        }
         // Anew each time: an attempt that was taken back has other tet ids.
         let Some(Path::Through(crossings)) = trace(mesh, a, b) else { return Ok(None) };
         let Some(&crossing) = crossings.get(position) else { return Ok(None) };

@@ -141,6 +141,21 @@ impl Ears {
     fn both(self) -> u64 {
         self.upper & self.lower
     }
+
+    /// Whether a triangulation of the ring of n vertices may exist, with an ear at the place `at`: one of a triangle has
+    /// three ears, every other one two that are no neighbours.
+    fn suffice(self, n: usize, at: Option<usize>) -> bool {
+        let both = self.both();
+        let around = |i: usize| 1_u64 << i | 1 << ((i + 1) % n) | 1 << ((i + n - 1) % n);
+        let first = at.unwrap_or(both.trailing_zeros() as usize);
+        match (both.count_ones(), at) {
+            (0 | 1, _) => false,
+            (count, _) if n == 3 => count == 3,
+            (_, Some(at)) => both >> at & 1 == 1 && both & !around(at) != 0,
+            (2, None) => both & !around(first) != 0,
+            _ => true,
+        }
+    }
 }
 
 /// Rings up to this size are planned in a table on the stack.
@@ -171,18 +186,15 @@ fn plan_ring(
 ) -> Option<Plan> {
     let mut ring = around.vertices;
     let n = around.count;
-    // Every triangulation of a polygon has two ears, and a triangle three.
-    let wanted = if n == 3 { 3 } else { 2 };
-    if n < 3 || ears.both().count_ones() < wanted {
+    let cut = match ear {
+        Some(ear) => ring[..n].iter().position(|&p| p == ear)?,
+        None => 0,
+    };
+    if n < 3 || !ears.suffice(n, ear.map(|_| cut)) {
         return None;
     }
-    if let Some(ear) = ear {
-        let at = ring[..n].iter().position(|&p| p == ear)?;
-        if ears.both() >> at & 1 == 0 {
-            return None;
-        }
-        ring[..n].rotate_left(at);
-    }
+    ring[..n].rotate_left(cut);
+    let is_ear = |i: usize| ears.both() >> ((i + cut) % n) & 1 == 1;
     let met = |face: [VertexId; 3]| meets_aim(mesh, aim, face);
     let from = usize::from(ear.is_some());
     let none = Cut { shape: 0.0, middle: usize::MAX };
@@ -208,6 +220,9 @@ fn plan_ring(
             for j in i + 1..k {
                 let sides = best[i * n + j].shape.min(best[j * n + k].shape);
                 if sides <= found.shape {
+                    continue;
+                }
+                if length == 2 && !is_ear(j) {
                     continue;
                 }
                 let (p, q, r) = (ring[i], ring[j], ring[k]);
@@ -347,7 +362,7 @@ pub fn remove_edge(
     tries: &mut usize,
     journal: &mut Journal,
 ) -> Result<bool> {
-    let mut removal = Removal { reach, tries, journal, open: Vec::new() };
+    let mut removal = Removal { reach, tries, journal, open: Vec::new(), rings: Vec::new(), left: Vec::new() };
     if mesh.is_segment(edge[0], edge[1]) {
         return Ok(false);
     }
@@ -375,10 +390,21 @@ struct Removal<'a> {
     journal: &'a mut Journal,
     /// Edges whose removal is under way, outermost first.
     open: Vec<[VertexId; 2]>,
+    /// Rings that are not in use.
+    rings: Vec<Ring>,
+    /// Scratch of `cut_ears`.
+    left: Vec<(VertexId, TetId, bool)>,
 }
 
 impl Removal<'_> {
     fn remove_at(&mut self, mesh: &mut ConstrainedMesh, start: ShellTet) -> Result<bool> {
+        let mut ring = self.rings.pop().unwrap_or_default();
+        let removed = self.remove_with(mesh, start, &mut ring);
+        self.rings.push(ring);
+        removed
+    }
+
+    fn remove_with(&mut self, mesh: &mut ConstrainedMesh, start: ShellTet, ring: &mut Ring) -> Result<bool> {
         let row = mesh.complex.vertices(start.tet);
         let edge = [row[start.a], row[start.b]];
         let mark = self.journal.mark();
@@ -386,7 +412,6 @@ impl Removal<'_> {
         let mut is_first = true;
         // The outer ring gets shorter only where its tets at the spoke become one: the far end is an ear of this ring.
         let ear = self.open.last().and_then(|outer| outer.iter().copied().find(|v| !edge.contains(v)));
-        let mut ring = Ring::default();
         while ring.collect(mesh, start, self.reach.ring) {
             let taken = self.taken(mesh, ring.tets());
             // The shells of nested removals share no tets but the two at the spoke: that ends the recursion early,
@@ -395,8 +420,8 @@ impl Removal<'_> {
                 return Ok(false);
             }
             is_first = false;
-            let ears = Ears::of(mesh, edge, &ring);
-            if let Some(plan) = plan_ring(mesh, edge, (&ring, ears), (self.reach.aim, ear)) {
+            let ears = Ears::of(mesh, edge, ring);
+            if let Some(plan) = plan_ring(mesh, edge, (ring, ears), (self.reach.aim, ear)) {
                 if self.journal.commit(mesh, &plan)? {
                     return Ok(true);
                 }
@@ -405,17 +430,17 @@ impl Removal<'_> {
             // A shorter ring needs an ear; without one only its spokes are left.
             let shorter = match ears.both() {
                 0 => None,
-                _ => self.cut_ears(mesh, edge, &ring, taken)?,
+                _ => self.cut_ears(mesh, edge, ring, taken)?,
             };
             if self.open.len() >= self.reach.depth {
                 break;
             }
             let ears = match shorter {
                 None => ears,
-                Some(start) if ring.collect(mesh, start, self.reach.ring) => Ears::of(mesh, edge, &ring),
+                Some(start) if ring.collect(mesh, start, self.reach.ring) => Ears::of(mesh, edge, ring),
                 Some(_) => break,
             };
-            if !self.remove_spoke(mesh, edge, (&ring, ears))? {
+            if !self.remove_spoke(mesh, edge, (ring, ears))? {
                 break;
             }
             match shell_start(mesh, edge, ring.tets()) {
@@ -452,11 +477,10 @@ impl Removal<'_> {
         taken: u64,
     ) -> Result<Option<ShellTet>> {
         // The tets lie between their vertex and the next.
-        let mut left = [(VertexId::GHOST, TetId::NONE, false); MOST_RING];
+        let mut left = std::mem::take(&mut self.left);
+        left.clear();
+        left.extend((0..ring.count).map(|i| (ring.vertices[i], ring.tets[i], taken >> i & 1 == 1)));
         let mut n = ring.count;
-        for (i, place) in left[..n].iter_mut().enumerate() {
-            *place = (ring.vertices[i], ring.tets[i], taken >> i & 1 == 1);
-        }
         let mut changed = None;
         let mut unchanged = 0;
         let mut i = 0;
@@ -481,6 +505,7 @@ impl Removal<'_> {
             }
             i += 1;
         }
+        self.left = left;
         let Some(tet) = changed else { return Ok(None) };
         let place = |w| mesh.complex.local_vertex(tet, w);
         Ok(place(u).zip(place(v)).map(|(a, b)| ShellTet::new(tet, a, b)))

@@ -12,7 +12,6 @@
 use rustc_hash::FxHashMap;
 
 use super::Effort;
-use super::cavity_filling::fill_cavity;
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey, edge_key};
 use super::crossings::{FaceCrossing, tets_across};
 use super::edge_recovery::{contains_edges, grown_cavities};
@@ -126,7 +125,7 @@ fn fill_both_sides(
     let mut new = Vec::new();
     for part in parts {
         mesh.cavities[0] += 1;
-        let Some(filled) = fill_cavity(&part, &[], |v| mesh.at(v), steps, budget) else { return Ok(false) };
+        let Some(filled) = mesh.fill(&part, &[], steps, budget) else { return Ok(false) };
         mesh.cavities[1] += 1;
         new.extend(filled);
     }
@@ -144,7 +143,7 @@ fn fill_with_face(
     let mut sheets = shape.sheets;
     sheets.push(face);
     mesh.cavities[0] += 1;
-    let Some(new) = fill_cavity(&shape.front, &sheets, |v| mesh.at(v), steps, budget) else { return Ok(false) };
+    let Some(new) = mesh.fill(&shape.front, &sheets, steps, budget) else { return Ok(false) };
     if !contains_edges(&new, &shape.segments) || !mesh.replace(tets, &new)? {
         return Ok(false);
     }

@@ -172,6 +172,7 @@ pub fn recover(
     report: &mut RecoveryReport,
 ) -> Result<ConstrainedMesh> {
     let mut mesh = ConstrainedMesh::new(complex, facets);
+    mesh.cancel = context.cancel_token();
     let efforts = efforts(options);
     let edge_efforts = edge_efforts(options);
     let start = Instant::now();
@@ -416,6 +417,48 @@ mod tests {
     use crate::conforming::enclosure::enclosing_corners;
     use crate::conforming::test_surfaces::cube;
     use crate::mesh::tet_store::TetStore;
+
+    #[test]
+    fn a_face_whose_edges_are_there_is_recovered_and_kept() {
+        let points = [[1., 0., 0.], [-0.5, 0.8, 0.], [-0.5, -0.8, 0.], [0., 0., 1.], [0., 0., -1.]];
+        let mut complex = TetComplex::with_points(points.map(DVec3::from_array).to_vec()).unwrap();
+        for row in [[3, 4, 0, 1], [3, 4, 1, 2], [3, 4, 2, 0]] {
+            let [a, b, c, d] = row.map(|v: usize| DVec3::from_array(points[v]));
+            let positive = crate::geometry::predicates::orient3d(a, b, c, d) > 0.0;
+            let row = row.map(|v| VertexId(v as u32));
+            let row = if positive { row } else { [row[1], row[0], row[2], row[3]] };
+            complex.create_tet(row, crate::index::Label(0)).unwrap();
+        }
+        complex.pair_faces().unwrap();
+        let wanted = [0, 1, 2].map(VertexId);
+        let mut mesh = ConstrainedMesh::new(complex, &[wanted]);
+        assert_eq!((mesh.missing_segments().len(), mesh.missing_subfaces().len()), (0, 1));
+        let context = RunContext::with_threads(1).unwrap();
+        recover_present_faces(&mut mesh, &efforts(&Options::default()), &context).unwrap();
+        let side = mesh.find_face(wanted).unwrap();
+        assert!(mesh.missing_subfaces().is_empty() && mesh.is_subface(side));
+        assert_eq!(mesh.complex.finite_tets().count(), 2);
+        assert!(edge_removal::plan_flip_23(&mesh, side, None).is_none(), "a face that is kept is not flipped away");
+        // A face without one of its edges stays missing.
+        mesh.add_subface([0, 3, 4].map(VertexId), 1);
+        recover_present_faces(&mut mesh, &efforts(&Options::default()), &context).unwrap();
+        assert_eq!(mesh.missing_subfaces(), vec![[0, 3, 4].map(VertexId)]);
+        mesh.complex.check_invariants().unwrap();
+    }
+
+    #[test]
+    fn a_cancelled_recovery_ends_at_once() {
+        let surface = crate::conforming::test_surfaces::twisted_prism(3, 20.0, 1);
+        let mut points = surface.points.clone();
+        points.extend(enclosing_corners(&surface.points));
+        let context = RunContext::with_threads(1).unwrap();
+        let delaunay = DelaunayOptions { order: PointOrder::Input, ..Default::default() };
+        let complex = tetrahedralize(&points, &delaunay, &context).unwrap().complex;
+        context.cancel_token().cancel();
+        let mut report = RecoveryReport::default();
+        let recovered = recover(complex, &surface.facets, &Options::default(), &context, &mut report);
+        assert!(report.missing_edges > 0 && matches!(recovered, Err(Error::Cancelled)));
+    }
 
     #[test]
     fn a_split_that_is_taken_back_is_whole_again() {

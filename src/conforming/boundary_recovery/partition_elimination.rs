@@ -32,7 +32,6 @@ use glam::DVec3;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::Effort;
-use super::cavity_filling::fill_cavity;
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey, Split, edge_key, edges_of_face, face_key};
 use super::edge_removal::{Journal, remove_edge, ring_of};
 use super::steiner_removal::{center, thin_ball};
@@ -303,7 +302,7 @@ fn undo(mesh: &mut ConstrainedMesh, steiner: VertexId, split: &Split, volume: &m
     let mut new: Vec<[VertexId; 4]> = Vec::new();
     let mut added = Vec::new();
     for sector in sectors {
-        if let Some(filled) = fill_cavity(&sector.front, &[], |v| mesh.at(v), FILL_STEPS, &mut { 2 * FILL_STEPS }) {
+        if let Some(filled) = mesh.fill(&sector.front, &[], FILL_STEPS, &mut { 2 * FILL_STEPS }) {
             new.extend(filled);
             continue;
         }

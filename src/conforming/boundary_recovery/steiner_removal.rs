@@ -11,10 +11,9 @@
 //! [Drakopoulos2017] 4.6.2 for 4; [GeorgeBorouchaki2003] for 1; the fillings are ours.
 
 use super::Effort;
-use super::cavity_filling::fill_cavity;
 use super::constrained_mesh::ConstrainedMesh;
 use super::edge_recovery::{contains_edges, grown_cavities};
-use super::edge_removal::{Journal, Reach, plan_removal, remove_edge};
+use super::edge_removal::{Journal, Reach, remove_edge};
 use super::partition_elimination::kernel_point;
 use crate::context::RunContext;
 use crate::error::Result;
@@ -26,6 +25,8 @@ use crate::mesh::tet_store::TetStore;
 const THINNING_DEPTH: usize = 5;
 /// Edges looked at for it.
 const THINNING_TRIES: usize = 50;
+/// Edges looked at for the whole ball, times the tries of the effort: balls of hundreds of tets would take all the time.
+const THINNING_SHARE: usize = 5;
 /// Passes in a row without a point removed; each starts where the last one left the balls, and elsewhere on rings.
 const MOST_FRUITLESS: usize = 2;
 
@@ -123,7 +124,7 @@ fn fill_grown(
             continue;
         }
         mesh.cavities[0] += 1;
-        let Some(new) = fill_cavity(&shape.front, &shape.sheets, |v| mesh.at(v), effort.steps, budget) else {
+        let Some(new) = mesh.fill(&shape.front, &shape.sheets, effort.steps, budget) else {
             continue;
         };
         if contains_edges(&new, &shape.segments) && mesh.replace(&grown, &new)? {
@@ -148,7 +149,7 @@ fn fill_ball(
         return Ok(false);
     }
     mesh.cavities[0] += 1;
-    let Some(new) = fill_cavity(front, &[], |v| mesh.at(v), steps, budget) else { return Ok(false) };
+    let Some(new) = mesh.fill(front, &[], steps, budget) else { return Ok(false) };
     if !mesh.replace(ball, &new)? {
         return Ok(false);
     }
@@ -182,6 +183,7 @@ fn contract(mesh: &mut ConstrainedMesh, vertex: VertexId, ball: &[TetId], front:
 /// # Errors
 /// Those of tet creation.
 pub fn thin_ball(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effort) -> Result<()> {
+    let mut total = THINNING_SHARE * effort.tries;
     loop {
         let ball = mesh.ball(vertex);
         // Each neighbour with a tet of the edge to it, which may be gone by then: balls may be large.
@@ -190,20 +192,22 @@ pub fn thin_ball(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effort) 
         link.sort_by_key(|(v, _)| *v);
         link.dedup_by_key(|(v, _)| *v);
         for (other, tet) in link {
+            if mesh.cancel.is_cancelled() {
+                return Ok(());
+            }
             // What is around an edge that lost its tet has changed: the next round has it anew, or it is gone.
             if !mesh.complex.is_live(tet) || mesh.complex.local_vertex(tet, other).is_none() {
                 continue;
             }
-            if let Some(plan) = plan_removal(mesh, [vertex, other], tet, effort.ring) {
-                mesh.replace(&plan.old, &plan.new)?;
-            } else if effort.depth > 0 {
-                let mut tries = effort.tries.min(THINNING_TRIES);
-                let reach =
-                    Reach { depth: effort.depth.min(THINNING_DEPTH), ring: effort.ring, turn: effort.turn, aim: None };
-                remove_edge(mesh, ([vertex, other], tet), reach, &mut tries, &mut Journal::default())?;
-            }
+            let mut tries = total.min(THINNING_TRIES);
+            let before = tries;
+            let depth = effort.depth.min(THINNING_DEPTH);
+            let reach = Reach { depth, ring: effort.ring, turn: effort.turn, aim: None };
+            remove_edge(mesh, ([vertex, other], tet), reach, &mut tries, &mut Journal::default())?;
+            total -= before - tries;
         }
-        if mesh.ball(vertex).len() >= ball.len() {
+        // A round that removes little is not worth another one.
+        if 10 * mesh.ball(vertex).len() > 9 * ball.len() {
             return Ok(());
         }
     }

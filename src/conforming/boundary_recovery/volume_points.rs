@@ -79,6 +79,9 @@ pub fn unlock_edges(
 fn unlock_edge(mesh: &mut ConstrainedMesh, edge: EdgeKey, effort: &Effort) -> Result<bool> {
     let Some(tets) = tets_along(mesh, edge[0], edge[1]) else { return Ok(true) };
     for place in places_between(mesh, edge, &tets) {
+        if mesh.cancel.is_cancelled() {
+            return Ok(false);
+        }
         let count = mesh.complex.points().len();
         mesh.begin_trial();
         let hint = mesh.complex.tet_of(edge[0]);
