@@ -97,14 +97,25 @@ impl Scope {
         Self(Some(marks))
     }
 
+    /// What treatments changed, and two rings of tets around it: as far as polyhedra grow.
+    fn beside_changes(complex: &TetComplex, context: &RunContext, changes: Touched) -> Self {
+        let mut scope = Self::of_vertices(complex, changes.made.into_iter().chain(changes.moved));
+        scope.add_rings(complex, context, 1);
+        scope
+    }
+
     /// The vertices of some tets and `rings` rings around them.
     fn around(complex: &TetComplex, context: &RunContext, tets: &[TetId], rings: usize) -> Self {
         let mut scope = Self::of_vertices(complex, tets.iter().flat_map(|&t| complex.vertices(t)));
-        for _ in 0..rings {
-            let reached = context.install(|| complex.finite_tets_where(|tet| scope.holds(&complex.vertices(tet))));
-            scope = Self::of_vertices(complex, reached.into_iter().flat_map(|tet| complex.vertices(tet)));
-        }
+        scope.add_rings(complex, context, rings);
         scope
+    }
+
+    fn add_rings(&mut self, complex: &TetComplex, context: &RunContext, rings: usize) {
+        for _ in 0..rings {
+            let reached = context.install(|| complex.finite_tets_where(|tet| self.holds(&complex.vertices(tet))));
+            *self = Self::of_vertices(complex, reached.into_iter().flat_map(|tet| complex.vertices(tet)));
+        }
     }
 
     #[inline]
@@ -254,7 +265,7 @@ fn may_be_skew(corners: [DVec3; 4]) -> bool {
 }
 
 /// The tets with faces that solvers find skew, the skewest face first.
-fn tets_with_skew_faces(complex: &TetComplex, context: &RunContext) -> Vec<TetId> {
+fn tets_with_skew_faces(complex: &TetComplex, context: &RunContext, scope: &Scope) -> Vec<TetId> {
     let is_skew = |tet: TetId| {
         if !may_be_skew(complex.points_of(tet)) {
             return None;
@@ -272,7 +283,7 @@ fn tets_with_skew_faces(complex: &TetComplex, context: &RunContext) -> Vec<TetId
         let worst = (0..4).map(skewness).fold(0.0, f64::max);
         (worst > UnskewedSine::SKEW).then_some(-worst)
     };
-    sift(complex, context, &Scope::default(), |_| false, is_skew).0
+    sift(complex, context, scope, |_| false, is_skew).0
 }
 
 /// Whether the boundary forces a sliver: two of its faces on the boundary meet at the bad angle, or a face on the boundary
@@ -501,46 +512,55 @@ impl Improver<'_> {
             }
             touched = Some(Scope::of_changes(complex, &self.driver.take_touched()));
         }
-        self.treat_unbearable(complex, sizes, goal)
+        self.treat_unbearable(complex, sizes)
     }
 
     /// All operations, wherever points come to lie, at the tets that may not stay: nearly flat ones and bad ones off the
     /// boundary, which nothing forces.
-    fn treat_unbearable(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>, goal: f64) -> Result<()> {
+    fn treat_unbearable(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>) -> Result<()> {
+        let flat = FLAT_BELOW.to_radians().sin();
+        let mut scope = Scope::default();
         if !self.options.delete_field_slivers {
             return Ok(());
         }
-        let flat = FLAT_BELOW.to_radians().sin();
+        let limit = STRICT_ANGLE.to_radians().sin();
+        self.driver.take_touched();
         for _ in 0..LAST_ROUNDS {
             self.context.check()?;
-            let limit = STRICT_ANGLE.to_radians().sin();
-            let mut bad = self.known.tets_below(complex, self.context, &Scope::default(), limit);
+            let mut bad = self.known.tets_below(complex, self.context, &scope, limit);
             let measure = StrictInside { angles: BiasedSine, on_boundary: self.on_boundary };
             bad.retain(|&tet| {
                 measure.is_strict(&complex.vertices(tet)) || BiasedSine.grade(complex.points_of(tet)) < flat
             });
+            let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
             let treatment = Treatment::everything(goal, Crowding::Allowed);
             if bad.is_empty() || self.driver.treat(complex, sizes, self.on_boundary, bad, &treatment)? == 0 {
                 break;
             }
+            scope = Scope::beside_changes(complex, self.context, self.driver.take_touched());
         }
         Ok(())
     }
 
-    /// All operations at tets with skew faces; returns how many of these tets are left.
+    /// All operations at tets with skew faces but no sliver's angles; returns how many tets have skew faces in the end.
+    /// Slivers have had all operations, and for their sake tets off the boundary would become bad here.
     fn treat_skew_faces(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>) -> Result<usize> {
+        let mut scope = Scope::default();
+        self.driver.take_touched();
         for _ in 0..SKEW_ROUNDS {
             self.context.check()?;
-            let skew = tets_with_skew_faces(complex, self.context);
-            let count = skew.len();
-            if count == 0 || !self.options.delete_field_slivers {
-                return Ok(count);
+            let mut skew = tets_with_skew_faces(complex, self.context, &scope);
+            skew.retain(|&tet| BiasedSine.grade(complex.points_of(tet)) > FLAT_BELOW.to_radians().sin());
+            let treatment = Treatment::of_skew_faces();
+            if skew.is_empty()
+                || !self.options.delete_field_slivers
+                || self.driver.treat(complex, sizes, self.on_boundary, skew, &treatment)? == 0
+            {
+                break;
             }
-            if self.driver.treat(complex, sizes, self.on_boundary, skew, &Treatment::of_skew_faces())? == 0 {
-                return Ok(count);
-            }
+            scope = Scope::beside_changes(complex, self.context, self.driver.take_touched());
         }
-        Ok(tets_with_skew_faces(complex, self.context).len())
+        Ok(tets_with_skew_faces(complex, self.context, &Scope::default()).len())
     }
 
     /// All operations at bad tets, worst first; returns how many were carried out. Points crowd around the first ones
@@ -624,7 +644,7 @@ mod tests {
         let mut complex = tetrahedralize(&points, &DelaunayOptions::default(), &context).unwrap().complex;
         let tets: Vec<TetId> = complex.finite_tets().collect();
         tets.into_iter().for_each(|tet| complex.set_label(tet, Label(1)));
-        assert!(!tets_with_skew_faces(&complex, &context).is_empty());
+        assert!(!tets_with_skew_faces(&complex, &context, &Scope::default()).is_empty());
         let on_boundary = boundary_vertices(&complex, &context);
         let mut sizes = vec![1.0; points.len()];
         let driver = Driver::for_quality(&options, &context);
@@ -633,7 +653,7 @@ mod tests {
         let mut improver =
             Improver { options, context: &context, on_boundary: &on_boundary, driver, known, crowded_points: 0 };
         assert_eq!(improver.treat_skew_faces(&mut complex, &mut sizes).unwrap(), 0);
-        assert!(tets_with_skew_faces(&complex, &context).is_empty());
+        assert!(tets_with_skew_faces(&complex, &context, &Scope::default()).is_empty());
         complex.check_invariants().unwrap();
         complex.check_orientation().unwrap();
     }

@@ -10,7 +10,8 @@
 //! # Differences
 //! Without these limits, tets whose bad angles the surface forces draw point after point, each making the worst tet a
 //! little better, until thin places are full of small tets off the boundary that nothing forces to be bad. Points keep the
-//! distance that the size field asks for unless a tet is nearly flat ([`Crowding`]).
+//! distance that the size field asks for unless a tet is nearly flat ([`Crowding`]); polyhedra grow only for points that
+//! need not, since hardly any other found a place (52 of 51 000 attempts on one surface).
 //!
 //! # Invariants
 //! No operation lowers the worst tet of what it touches; tets off the boundary are graded strictly
@@ -213,13 +214,13 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         let scratch = &mut reconnector.scratch;
         let (mut outcome, mut place) =
             plan_sliver_insertion(store, tet, vertex, limits, &self.measure, slivers, scratch);
-        let is_bad = grade < bad_grade(is_off);
-        if is_bad && !matches!(outcome, Outcome::Accepted | Outcome::ClaimLost) {
+        let grows = grade < bad_grade(is_off) && limits.spacing.is_free();
+        if grows && !matches!(outcome, Outcome::Accepted | Outcome::ClaimLost) {
             store.release_claims();
             let limits = InsertionLimits { floor: limits.floor.min(GAIN * grade), ..limits };
             let asked = (limits, GAIN);
             (outcome, place) = plan_grown_insertion(store, (tet, vertex), None, asked, &self.measure, slivers, scratch);
-            let edge = shortest_edge(row.map(|v| store.point(v))).filter(|_| limits.spacing.is_free());
+            let edge = shortest_edge(row.map(|v| store.point(v)));
             if let Some(ends) = edge.filter(|_| !matches!(outcome, Outcome::Accepted | Outcome::ClaimLost)) {
                 store.release_claims();
                 (outcome, place) =

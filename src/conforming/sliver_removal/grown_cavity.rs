@@ -37,6 +37,10 @@ const MAX_FAN: usize = 24;
 /// Tets that join without a better star before growth stops: a star that sees over an edge needs all tets around it.
 const PATIENCE: usize = 12;
 
+/// Tets, and the share of what is asked for that the best of so many stars must have reached: of the polyhedra that find a
+/// place in the end (900 on two surfaces) 98 of 100 have. Fans need more tets before they see anything.
+const PROMISES: [(usize, f64); 2] = [(8, 0.1), (12, 0.4)];
+
 /// Steps of the search with each tet that joins; the place follows from tet to tet.
 const FIRST_STEPS: usize = 3;
 /// A star within this factor of what is asked for is searched to the end.
@@ -155,6 +159,7 @@ fn grow_from<S: TetStore + ?Sized, M: TetMeasure>(
     let mut best: Option<Best> = None;
     let mut old_grade = scratch.cavity.iter().map(|&tet| graded(store, tet)).fold(f64::INFINITY, f64::min);
     let mut waited = 0;
+    let (begins_alone, mut nearest) = (scratch.cavity.len() == 1, 0.0_f64);
     loop {
         old_grade = old_grade.min(graded(store, scratch.cavity[scratch.cavity.len() - 1]));
         collect_border(store, scratch);
@@ -171,7 +176,10 @@ fn grow_from<S: TetStore + ?Sized, M: TetMeasure>(
         } else {
             waited += 1;
         }
-        if waited > PATIENCE || scratch.cavity.len() == most {
+        nearest = nearest.max(grade / bound);
+        let is_behind = |&(tets, share): &(usize, f64)| scratch.cavity.len() >= tets && nearest < share;
+        let is_vain = begins_alone && best.is_none() && PROMISES.iter().any(is_behind);
+        if is_vain || waited > PATIENCE || scratch.cavity.len() == most {
             break;
         }
         match let_next_in(store, measure, place, scratch) {
