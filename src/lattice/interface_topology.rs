@@ -311,3 +311,30 @@ impl<'a> InterfaceTopology<'a> {
         after - before
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lattice::face_adjacency::neighbors_of;
+
+    #[test]
+    fn two_labels_around_a_closed_vertex_are_counted_as_any_labels() {
+        // The eight tets of an octahedron around vertex 0; 1 to 3 and 4 to 6 are opposite to each other.
+        let corner = |octant: u32, axis: u32| 1 + axis + 3 * (octant >> axis & 1);
+        let tets: Vec<[u32; 4]> = (0..8).map(|o| [0, corner(o, 0), corner(o, 1), corner(o, 2)]).collect();
+        let neighbors = neighbors_of(&tets, 7).unwrap();
+        let topology = InterfaceTopology::new(&tets, &neighbors, 7);
+        assert!(!topology.is_open(0) && (1..7).all(|v| topology.is_open(v)));
+        let mut pinched = 0;
+        for pattern in 0u32..256 {
+            for (low, high) in [(0, 1), (1, 2)] {
+                let labels: Vec<Label> =
+                    (0..8).map(|o| Label(if pattern >> o & 1 == 0 { low } else { high })).collect();
+                assert_eq!(topology.excess(0, &labels), topology.excess_of_all(0, &labels), "{pattern:08b}");
+                pinched += usize::from(topology.excess(0, &labels) > 0);
+            }
+        }
+        // Two opposite corners apart, for one.
+        assert!(pinched > 0 && topology.excess(0, &[1, 0, 0, 0, 0, 0, 0, 1].map(Label)) == 1);
+    }
+}
