@@ -518,12 +518,13 @@ impl Improver<'_> {
     /// All operations, wherever points come to lie, at the tets that may not stay: nearly flat ones and bad ones off the
     /// boundary, which nothing forces.
     fn treat_unbearable(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>) -> Result<()> {
-        let flat = FLAT_BELOW.to_radians().sin();
-        let mut scope = Scope::default();
         if !self.options.delete_field_slivers {
             return Ok(());
         }
-        let limit = STRICT_ANGLE.to_radians().sin();
+        let (flat, limit) = (FLAT_BELOW.to_radians().sin(), STRICT_ANGLE.to_radians().sin());
+        let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
+        let treatment = Treatment::everything(goal, Crowding::Allowed);
+        let mut scope = Scope::default();
         self.driver.take_touched();
         for _ in 0..LAST_ROUNDS {
             self.context.check()?;
@@ -532,8 +533,6 @@ impl Improver<'_> {
             bad.retain(|&tet| {
                 measure.is_strict(&complex.vertices(tet)) || BiasedSine.grade(complex.points_of(tet)) < flat
             });
-            let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
-            let treatment = Treatment::everything(goal, Crowding::Allowed);
             if bad.is_empty() || self.driver.treat(complex, sizes, self.on_boundary, bad, &treatment)? == 0 {
                 break;
             }
@@ -545,20 +544,21 @@ impl Improver<'_> {
     /// All operations at tets with skew faces but no sliver's angles; returns how many tets have skew faces in the end.
     /// Slivers have had all operations, and for their sake tets off the boundary would become bad here.
     fn treat_skew_faces(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>) -> Result<usize> {
-        let mut scope = Scope::default();
+        let flat = FLAT_BELOW.to_radians().sin();
+        let mut skew = tets_with_skew_faces(complex, self.context, &Scope::default());
+        if skew.is_empty() || !self.options.delete_field_slivers {
+            return Ok(skew.len());
+        }
         self.driver.take_touched();
         for _ in 0..SKEW_ROUNDS {
             self.context.check()?;
-            let mut skew = tets_with_skew_faces(complex, self.context, &scope);
-            skew.retain(|&tet| BiasedSine.grade(complex.points_of(tet)) > FLAT_BELOW.to_radians().sin());
+            skew.retain(|&tet| BiasedSine.grade(complex.points_of(tet)) > flat);
             let treatment = Treatment::of_skew_faces();
-            if skew.is_empty()
-                || !self.options.delete_field_slivers
-                || self.driver.treat(complex, sizes, self.on_boundary, skew, &treatment)? == 0
-            {
+            if skew.is_empty() || self.driver.treat(complex, sizes, self.on_boundary, skew, &treatment)? == 0 {
                 break;
             }
-            scope = Scope::beside_changes(complex, self.context, self.driver.take_touched());
+            let scope = Scope::beside_changes(complex, self.context, self.driver.take_touched());
+            skew = tets_with_skew_faces(complex, self.context, &scope);
         }
         Ok(tets_with_skew_faces(complex, self.context, &Scope::default()).len())
     }

@@ -36,6 +36,9 @@ pub struct InterfaceTopology<'a> {
     open: Vec<bool>,
 }
 
+/// Most elements of a ball whose groups are counted in one word of marks.
+const MOST_COUNTED: usize = u128::BITS as usize;
+
 /// A change of labels that was found to help.
 struct Change {
     gain: i64,
@@ -125,7 +128,7 @@ impl<'a> InterfaceTopology<'a> {
             return if self.is_open(vertex) { self.excess_of_all(vertex, labels) } else { 0 };
         };
         let is_of_two = |l: Label| Some(l) == first || l == other;
-        if self.is_open(vertex) || !ball.iter().all(|e| is_of_two(labels[*e as usize])) {
+        if self.is_open(vertex) || ball.len() > MOST_COUNTED || !ball.iter().all(|e| is_of_two(labels[*e as usize])) {
             return self.excess_of_all(vertex, labels);
         }
         // What is not of the one label is of the other: both ask for the same groups.
@@ -141,18 +144,11 @@ impl<'a> InterfaceTopology<'a> {
         around.into_iter().filter(|l| !l.is_background()).map(|l| self.excess_of(vertex, l, labels)).sum()
     }
 
-    /// Number of groups of equal label around a vertex, connected through faces at the vertex.
+    /// Number of groups of equal label around a vertex of at most [`MOST_COUNTED`] elements, connected through faces at it.
     fn group_count(&self, vertex: u32, labels: &[Label]) -> usize {
         let ball = self.ball(vertex);
         let (mut seen, mut found) = (0u128, 0);
-        if ball.len() > 128 {
-            return self
-                .labels_around(vertex, labels)
-                .iter()
-                .map(|l| self.groups(vertex, |o| o == *l, labels).len())
-                .sum();
-        }
-        let mut stack = [0u8; 128];
+        let mut stack = [0u8; MOST_COUNTED];
         for start in 0..ball.len() {
             if seen >> start & 1 != 0 {
                 continue;
