@@ -342,7 +342,7 @@ pub struct Reach {
     pub depth: usize,
     /// Most tets around an edge.
     pub ring: usize,
-    /// Where the search for an edge to the ring starts.
+    /// Added to where searches for an edge to the ring start, which changes with the mesh.
     pub turn: usize,
     /// A segment that new faces keep clear of.
     pub aim: Option<[VertexId; 2]>,
@@ -524,7 +524,8 @@ impl Removal<'_> {
         (ring, ears): (&Ring, Ears),
     ) -> Result<bool> {
         let n = ring.count;
-        let turn = self.reach.turn;
+        // Starting elsewhere each time: attempts that begin alike fail alike, and left half as many edges again missing.
+        let turn = self.reach.turn + mesh.reconnections;
         for i in (0..n).map(|i| (i + turn) % n) {
             let [p, after] = [ring.vertices[i], ring.vertices[(i + 1) % n]];
             // The ring could do without p but for an edge from p to an end that is in the way.

@@ -317,6 +317,7 @@ fn recover_all_edges(
             if !mesh.is_segment(edge[0], edge[1]) {
                 continue; // split together with a neighbour
             }
+            volume_points::free_edge(mesh, edge);
             // Parts that stay missing however short they get have to come into sight of their ends.
             let mut bridged = Bridge::Missing;
             if round >= ROUNDS_OUT_OF_SIGHT {

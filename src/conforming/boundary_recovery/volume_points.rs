@@ -22,7 +22,7 @@ use glam::DVec3;
 
 use super::Effort;
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey, edge_key};
-use super::crossings::tets_along;
+use super::crossings::{Crossing, Path, tets_along, trace};
 use super::edge_recovery::recover_edge;
 use super::steiner_points::insert_point;
 use crate::context::RunContext;
@@ -160,6 +160,24 @@ pub fn free_face(mesh: &mut ConstrainedMesh, face: FaceKey) -> bool {
     moved
 }
 
+/// Moves points of the volume that lie exactly on a missing edge off the facets at it; whether one was moved.
+pub fn free_edge(mesh: &mut ConstrainedMesh, edge: EdgeKey) -> bool {
+    let Some(Path::Through(crossings)) = trace(mesh, edge[0], edge[1]) else { return false };
+    let thirds = mesh.wings.get(&edge).cloned().unwrap_or_default();
+    let [a, b] = edge.map(|v| mesh.at(v));
+    let mut moved = false;
+    for crossing in crossings {
+        let Crossing::Vertex(vertex) = crossing else { continue };
+        if mesh.volume_points.contains(&vertex) {
+            moved |= thirds.iter().any(|&third| {
+                let c = mesh.at(third);
+                leave_plane(mesh, vertex, [a, b, c], (b - a).cross(c - a).normalize_or_zero())
+            });
+        }
+    }
+    moved
+}
+
 /// Moves a free vertex along the normal of a plane, as far as its ball allows; whether it left the plane.
 fn leave_plane(mesh: &mut ConstrainedMesh, vertex: VertexId, [a, b, c]: [DVec3; 3], normal: DVec3) -> bool {
     let front = mesh.shape_of(&mesh.ball(vertex)).front;
@@ -245,6 +263,28 @@ mod tests {
         assert!(mesh.orient([corners[0], corners[1], corners[2], steiner]) != 0.0);
         assert!(mesh.complex.finite_tets().all(|tet| mesh.complex.is_positive(tet)));
         assert!(!free_face(&mut mesh, corners));
+    }
+
+    #[test]
+    fn a_point_of_the_volume_leaves_a_wanted_edge() {
+        let points = [[-2., 0., 0.], [2., 0., 0.], [0., 2., 1.], [0., -2., 1.], [0., 0., -2.], [0., 0., 0.]];
+        let mut points = points.map(DVec3::from_array).to_vec();
+        points.extend(enclosing_corners(&points));
+        let context = RunContext::with_threads(1).unwrap();
+        let options = DelaunayOptions { order: PointOrder::Input, ..Default::default() };
+        let complex = tetrahedralize(&points, &options, &context).unwrap().complex;
+        let facets = [[0, 1, 2], [0, 1, 3], [0, 1, 4]].map(|f| f.map(VertexId));
+        let mut mesh = ConstrainedMesh::new(complex, &facets);
+        let (edge, middle) = ([VertexId(0), VertexId(1)], VertexId(5));
+        let is_on_edge = |mesh: &ConstrainedMesh| match trace(mesh, edge[0], edge[1]) {
+            Some(Path::Through(crossings)) => crossings.contains(&Crossing::Vertex(middle)),
+            _ => false,
+        };
+        assert!(is_on_edge(&mesh) && !free_edge(&mut mesh, edge), "a point of the surface stays");
+        mesh.volume_points.push(middle);
+        assert!(free_edge(&mut mesh, edge) && !is_on_edge(&mesh));
+        assert!(mesh.complex.finite_tets().all(|tet| mesh.complex.is_positive(tet)));
+        assert!(!free_edge(&mut mesh, edge));
     }
 
     #[test]
