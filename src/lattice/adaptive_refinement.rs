@@ -11,6 +11,8 @@
 //!    is carved ([`super::interface_carving`]), with the check after a few rounds of refinement there and where a label
 //!    is broken ([`super::region_gaps`]).
 //!
+//! A relabelling of 3 or 5 gives no two labels a contact that the image does not have ([`super::image_contacts`]).
+//!
 //! # Source
 //! [Drakopoulos2017] 2.3.3.
 //!
@@ -28,6 +30,7 @@ use crate::lattice::bcc_lattice::{Field, LatticeFrame};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
 use crate::lattice::face_adjacency::neighbors_of;
+use crate::lattice::image_contacts::ImageContacts;
 use crate::lattice::interface_carving::carve;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::mesh_regions::{joinable_regions, regions_of, relabel_loose_regions, surplus_of};
@@ -142,7 +145,7 @@ impl Rounds<'_> {
             if !marked.contains(&true) {
                 let by_centroid = elements.labels.clone();
                 let neighbors = self.neighbors(lattice, &elements)?;
-                let relabelled = self.relabel(&mut elements, &neighbors, |_| false);
+                let relabelled = self.relabel(lattice, &mut elements, &neighbors, |_| false);
                 let at_centroid = found;
                 found = self.recount(&at_centroid, &by_centroid, lattice, &elements)?;
                 let after = self.deficit(&found);
@@ -227,11 +230,16 @@ impl Rounds<'_> {
 
     fn relabel(
         &mut self,
+        lattice: &RedGreenLattice,
         elements: &mut Elements,
         neighbors: &[[u32; 4]],
         is_kept: impl Fn(usize) -> bool,
     ) -> Relabelled {
-        self.report.timed("relabelling", || relabel_for_smoothing(&mut elements.labels, neighbors, is_kept))
+        let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
+        let may_take = |labels: &[Label], changed: &[u32], label: Label| {
+            changed.iter().all(|e| !is_kept(*e as usize)) && contacts.allow(labels, changed, label)
+        };
+        self.report.timed("relabelling", || relabel_for_smoothing(&mut elements.labels, neighbors, may_take))
     }
 
     /// Relabels only elements that hold no voxel centre of their own label.
@@ -247,7 +255,7 @@ impl Rounds<'_> {
                 any
             })
             .collect();
-        self.relabel(elements, neighbors, |e| holds[e]);
+        self.relabel(lattice, elements, neighbors, |e| holds[e]);
     }
 
     /// Relabels pinched elements where that costs neither fidelity nor a component; returns the mismatches then.
@@ -262,7 +270,9 @@ impl Rounds<'_> {
         let vertices = lattice.vertices.positions.len();
         let unchanged = elements.labels.clone();
         let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices);
-        let changed = self.report.timed("topology", || topology.repair(&mut elements.labels, |_| false));
+        let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
+        let may_take = |labels: &[Label], changed: &[u32], label: Label| contacts.allow(labels, changed, label);
+        let changed = self.report.timed("topology", || topology.repair(&mut elements.labels, may_take));
         if changed == 0 {
             return Ok(found);
         }

@@ -38,11 +38,12 @@ pub struct Relabelled {
     pub remaining: usize,
 }
 
-/// Relabels elements so that few have two faces on a surface; elements for which `is_kept` holds are not changed.
+/// Relabels elements so that few have two faces on a surface. `may_take` tells whether elements may take a label, given those
+/// of all.
 pub fn relabel_for_smoothing(
     labels: &mut [Label],
     neighbors: &[[u32; 4]],
-    is_kept: impl Fn(usize) -> bool,
+    may_take: impl Fn(&[Label], &[u32], Label) -> bool,
 ) -> Relabelled {
     let work = Relabelling { labels, neighbors };
     let mut queue: VecDeque<u32> = work.bad().into();
@@ -54,7 +55,7 @@ pub fn relabel_for_smoothing(
         if !work.is_bad(e as usize) {
             continue;
         }
-        let Some((changed, label)) = work.best_change(e as usize, &is_kept) else { continue };
+        let Some((changed, label)) = work.best_change(e as usize, &may_take) else { continue };
         work.labels[changed] = label;
         changes += 1;
         for near in neighbors[changed].into_iter().chain([changed as u32]) {
@@ -118,7 +119,11 @@ impl Relabelling<'_> {
     }
 
     /// The change at `element` or a foreign neighbour that lowers the penalty most.
-    fn best_change(&self, element: usize, is_kept: &impl Fn(usize) -> bool) -> Option<(usize, Label)> {
+    fn best_change(
+        &self,
+        element: usize,
+        may_take: &impl Fn(&[Label], &[u32], Label) -> bool,
+    ) -> Option<(usize, Label)> {
         let own = self.labels[element];
         let mut best = (0, None);
         for near in self.neighbors[element] {
@@ -129,11 +134,11 @@ impl Relabelling<'_> {
             let inward = (element, label);
             let outward = (near as usize, own);
             for (changed, to) in [inward, outward] {
-                if changed == OUTSIDE as usize || is_kept(changed) {
+                if changed == OUTSIDE as usize {
                     continue;
                 }
                 let gain = self.gain(changed, to);
-                if gain < best.0 {
+                if gain < best.0 && may_take(self.labels, &[changed as u32], to) {
                     best = (gain, Some((changed, to)));
                 }
             }
@@ -151,7 +156,7 @@ mod tests {
         // Element 0 has label 2 and four neighbours of label 1, which see the outside on no other face here.
         let neighbors = [[1, 2, 3, 4], [0, 2, 3, 4], [0, 1, 3, 4], [0, 1, 2, 4], [0, 1, 2, 3]];
         let mut labels = [2, 1, 1, 1, 1].map(Label);
-        let result = relabel_for_smoothing(&mut labels, &neighbors, |_| false);
+        let result = relabel_for_smoothing(&mut labels, &neighbors, |_, _, _| true);
         assert_eq!((labels, result), ([Label(1); 5], Relabelled { changes: 1, remaining: 0 }));
     }
 
@@ -159,7 +164,7 @@ mod tests {
     fn kept_elements_stay() {
         let neighbors = [[1, 2, 3, 4], [0, 2, 3, 4], [0, 1, 3, 4], [0, 1, 2, 4], [0, 1, 2, 3]];
         let mut labels = [2, 1, 1, 1, 1].map(Label);
-        relabel_for_smoothing(&mut labels, &neighbors, |e| e == 0 || e == 1 || e == 2 || e == 3 || e == 4);
+        relabel_for_smoothing(&mut labels, &neighbors, |_, _, _| false);
         assert_eq!(labels[0], Label(2));
     }
 }

@@ -244,16 +244,16 @@ impl<'a> InterfaceTopology<'a> {
         groups
     }
 
-    /// Relabels elements until no change lowers the excess; returns how many elements changed. Elements for which
-    /// `is_kept` holds stay.
-    pub fn repair(&self, labels: &mut [Label], is_kept: impl Fn(u32) -> bool) -> usize {
+    /// Relabels elements until no change lowers the excess; returns how many elements changed. `may_take` tells whether
+    /// elements may take a label, given those of all.
+    pub fn repair(&self, labels: &mut [Label], may_take: impl Fn(&[Label], &[u32], Label) -> bool) -> usize {
         let mut queue: VecDeque<u32> = self.pinched(labels).into();
         let mut changed = 0;
         while let Some(vertex) = queue.pop_front() {
             if self.excess(vertex, labels) == 0 {
                 continue;
             }
-            let Some(change) = self.best_change(vertex, labels, &is_kept) else { continue };
+            let Some(change) = self.best_change(vertex, labels, &may_take) else { continue };
             let mut concerned: Vec<u32> = change.elements.iter().flat_map(|e| self.tets[*e as usize]).collect();
             concerned.sort_unstable();
             concerned.dedup();
@@ -264,7 +264,12 @@ impl<'a> InterfaceTopology<'a> {
         changed
     }
 
-    fn best_change(&self, vertex: u32, labels: &mut [Label], is_kept: &impl Fn(u32) -> bool) -> Option<Change> {
+    fn best_change(
+        &self,
+        vertex: u32,
+        labels: &mut [Label],
+        may_take: &impl Fn(&[Label], &[u32], Label) -> bool,
+    ) -> Option<Change> {
         let around = self.labels_around(vertex, labels);
         let mut candidates: Vec<Vec<u32>> = Vec::new();
         for label in &around {
@@ -276,16 +281,13 @@ impl<'a> InterfaceTopology<'a> {
         candidates.extend(self.ball(vertex).iter().map(|e| vec![*e]));
         let mut best: Option<Change> = None;
         for elements in candidates {
-            if elements.iter().any(|e| is_kept(*e)) {
-                continue;
-            }
             for label in &around {
                 if elements.iter().any(|e| labels[*e as usize] == *label) {
                     continue;
                 }
                 let gain = self.gain(&elements, *label, labels);
                 let is_better = best.as_ref().is_none_or(|b| (gain, elements.len()) < (b.gain, b.elements.len()));
-                if gain < 0 && is_better {
+                if gain < 0 && is_better && may_take(labels, &elements, *label) {
                     best = Some(Change { gain, elements: elements.clone(), label: *label });
                 }
             }

@@ -32,6 +32,7 @@ pub mod evaluation;
 pub mod face_adjacency;
 pub mod finishing;
 pub mod fixed_points;
+pub mod image_contacts;
 pub mod improvement_mesh;
 pub mod interface_carving;
 pub mod interface_topology;

@@ -3,7 +3,8 @@
 //! # Method
 //! 1. Near a boundary each label has a smooth distance ([`smooth_distance`](crate::lattice::smooth_distance)), positive
 //!    inside. Between two labels it is the mean of theirs, weighted for the one that is no edge or crease there: at a line
-//!    where three labels meet, the one that goes straight on decides.
+//!    where three labels meet, the one that goes straight on decides. In the half of a thin wall that is nearer to its other
+//!    surface the distances of both labels lead apart; there the one that is farther away is meant.
 //! 2. Farther away the indicator of each label is smoothed by a Gaussian of `SIGMA` voxels: the sum over the 6 x 6 x 6 voxels
 //!    around the point. The ratio `(f_a - f_b) / (f_a + f_b)` of a flat interface is an error function of the distance; its
 //!    inverse leads a vertex near enough for step 1.
@@ -71,6 +72,14 @@ pub struct SubvoxelSurface<'a> {
     offsets: Vec<f64>,
     /// The Gaussian at whole voxels -2 to 3.
     tails: [f64; 6],
+}
+
+/// What the smooth distance of one label says of the surface between two: distance, mm, unit normal, and weight.
+#[derive(Debug, Clone, Copy)]
+struct LabelTerm {
+    distance: f64,
+    normal: DVec3,
+    weight: f64,
 }
 
 /// Weights of the Gaussian and its derivative along one axis, and the voxels they belong to.
@@ -157,14 +166,14 @@ impl<'a> SubvoxelSurface<'a> {
         weights
     }
 
-    /// Sums over the voxels around a point: `f_a - f_b`, its gradient, and `f_a + f_b`.
-    fn smoothed(&self, point: DVec3, a: Label, b: Label) -> (f64, DVec3, f64) {
+    /// Sums over the voxels around a point: `f_a - f_b` and `f_a + f_b`, each with its gradient.
+    fn smoothed(&self, point: DVec3, a: Label, b: Label) -> [(f64, DVec3); 2] {
         let x = self.axis_weights(0, point.x);
         let y = self.axis_weights(1, point.y);
         let z = self.axis_weights(2, point.z);
         let is_inside = x.voxel[5] - x.voxel[0] == 5;
         let whole: (f64, f64) = (x.value.iter().sum(), x.slope.iter().sum());
-        let (mut value, mut gradient, mut presence) = (0.0, DVec3::ZERO, 0.0);
+        let mut sums = [(0.0, DVec3::ZERO); 2];
         for k in 0..6 {
             for j in 0..6 {
                 let row = self.size[0] * (y.voxel[j] + self.size[1] * z.voxel[k]);
@@ -174,14 +183,15 @@ impl<'a> SubvoxelSurface<'a> {
                 } else {
                     labels.iter_mut().zip(&x.voxel).for_each(|(label, i)| *label = self.voxels[row + i]);
                 }
-                let Some((sum, slope, weight)) = row_sums(&labels, &x, whole, a, b) else { continue };
-                let plane = y.value[j] * z.value[k];
-                value += plane * sum;
-                presence += plane * weight;
-                gradient += DVec3::new(plane * slope, y.slope[j] * z.value[k] * sum, y.value[j] * z.slope[k] * sum);
+                let Some(of_row) = row_sums(&labels, &x, whole, a, b) else { continue };
+                let plane = DVec3::new(y.value[j] * z.value[k], y.slope[j] * z.value[k], y.value[j] * z.slope[k]);
+                for ((value, gradient), (sum, slope)) in sums.iter_mut().zip(of_row) {
+                    *value += plane.x * sum;
+                    *gradient += plane * DVec3::new(slope, sum, sum);
+                }
             }
         }
-        (value, gradient, presence)
+        sums
     }
 
     /// Signed distance to the surface between labels a and b, mm, positive in a, and the unit normal towards a; `None` where
@@ -198,19 +208,32 @@ impl<'a> SubvoxelSurface<'a> {
     /// (another label meets the two) has a distance that is rounded off, of a short gradient: it weighs little.
     fn smooth_difference(&self, point: DVec3, a: Label, b: Label) -> Option<(f64, DVec3)> {
         let place = point / self.spacing;
-        let (mut distance, mut normal, mut total) = (0.0, DVec3::ZERO, 0.0);
-        for (label, sign) in [(a, 1.0), (b, -1.0)] {
+        let mut found: [Option<LabelTerm>; 2] = [None; 2];
+        for (slot, (label, sign)) in [(a, 1.0), (b, -1.0)].into_iter().enumerate() {
             if !self.smooth.has(label) && label.is_background() {
                 continue;
             }
             let (value, gradient) = self.smooth.sample(label, place, self.size, self.spacing)?;
             let square = gradient.length_squared();
-            let weight = square.min(1.0).powi(GRADIENT_POWER);
             if square > LEAST_GRADIENT * LEAST_GRADIENT {
-                distance += sign * weight * value / square.sqrt();
-                normal += sign * weight * gradient / square.sqrt();
-                total += weight;
+                let length = square.sqrt();
+                let weight = square.min(1.0).powi(GRADIENT_POWER);
+                found[slot] =
+                    Some(LabelTerm { distance: sign * value / length, normal: sign * gradient / length, weight });
             }
+        }
+        if let [Some(of_a), Some(of_b)] = found
+            && (of_a.distance > 0.0) == (of_b.distance > 0.0)
+            && of_a.normal.dot(of_b.normal) < 0.0
+        {
+            // Within a thin label whose other surface is nearer. The surface between a and b is no nearer than either label's.
+            found[usize::from(of_a.distance.abs() > of_b.distance.abs())] = None;
+        }
+        let (mut distance, mut normal, mut total) = (0.0, DVec3::ZERO, 0.0);
+        for term in found.into_iter().flatten() {
+            distance += term.weight * term.distance;
+            normal += term.weight * term.normal;
+            total += term.weight;
         }
         let length = normal.length();
         (length > LEAST_GRADIENT * total).then(|| (distance / total, normal / length))
@@ -218,16 +241,21 @@ impl<'a> SubvoxelSurface<'a> {
 
     /// As [`signed_distance`](Self::signed_distance), by the smoothed indicators.
     fn blurred_distance(&self, point: DVec3, a: Label, b: Label) -> Option<(f64, DVec3)> {
-        let (value, gradient, presence) = self.smoothed(point, a, b);
+        let [(value, value_gradient), (presence, presence_gradient)] = self.smoothed(point, a, b);
+        if !(presence > 0.02) {
+            return None;
+        }
+        // Where a third label is near, both sums fall towards it; their ratio does not.
+        let gradient = (value_gradient - presence_gradient * (value / presence)) / presence;
         let length = gradient.length();
-        if !(presence > 0.02 && length > 1e-6 * presence) {
+        if !(length > 1e-6) {
             return None;
         }
         let ratio = (value / presence).clamp(-LARGEST_RATIO, LARGEST_RATIO);
         // A flat interface: ratio = erf(t / sqrt 2) at t sigmas, slope of the ratio 2 pdf(t) per sigma.
         let sigmas = std::f64::consts::SQRT_2 * inverse_error_function(ratio);
         let density = (-sigmas * sigmas / 2.0).exp() * 2.0 / (2.0 * std::f64::consts::PI).sqrt();
-        let per_sigma = length / presence / density;
+        let per_sigma = length / density;
         let distance = (sigmas / per_sigma).clamp(-LONGEST_DISTANCE, LONGEST_DISTANCE) + self.offset(a, b);
         (distance.is_finite()).then(|| (distance, gradient / length))
     }
@@ -324,26 +352,24 @@ impl<'a> SubvoxelSurface<'a> {
     }
 }
 
-/// Sums of one row of voxels: value, slope and weight; `None` where neither label is met. `whole` is the sums of the weights.
+/// Sums of one row of voxels, of the difference of two labels and of both together, each with its slope; `None` where neither
+/// label is met. `whole` is the sums of the weights.
 #[inline]
-fn row_sums(labels: &[Label; 6], x: &AxisWeights, whole: (f64, f64), a: Label, b: Label) -> Option<(f64, f64, f64)> {
+fn row_sums(labels: &[Label; 6], x: &AxisWeights, whole: (f64, f64), a: Label, b: Label) -> Option<[(f64, f64); 2]> {
     // Most rows hold one label only.
     let [first, l1, l2, l3, l4, l5] = *labels;
     if (l1 == first) & (l2 == first) & (l3 == first) & (l4 == first) & (l5 == first) {
-        return if first == a {
-            Some((whole.0, whole.1, whole.0))
-        } else {
-            (first == b).then_some((-whole.0, -whole.1, whole.0))
-        };
+        return if first == a { Some([whole, whole]) } else { (first == b).then_some([(-whole.0, -whole.1), whole]) };
     }
-    let (mut sum, mut slope, mut weight) = (0.0, 0.0, 0.0);
+    let mut sums = [(0.0, 0.0); 2];
     for i in 0..6 {
         let (in_a, in_b) = (f64::from(u8::from(labels[i] == a)), f64::from(u8::from(labels[i] == b)));
-        sum += (in_a - in_b) * x.value[i];
-        slope += (in_a - in_b) * x.slope[i];
-        weight += (in_a + in_b) * x.value[i];
+        for (sum, sign) in sums.iter_mut().zip([in_a - in_b, in_a + in_b]) {
+            sum.0 += sign * x.value[i];
+            sum.1 += sign * x.slope[i];
+        }
     }
-    Some((sum, slope, weight))
+    Some(sums)
 }
 
 /// Inverse of the error function within 2e-3: a start for Newton steps, exact at zero.
@@ -416,5 +442,19 @@ mod tests {
         let sides = [Side::Label(Label(2)), Side::Border(1)];
         let found = surface.project(DVec3::new(23.9, 11.0, 12.0), &sides, 2.0).expect("the border is near");
         assert_eq!(found, DVec3::new(23.5, 11.0, 12.0));
+    }
+
+    #[test]
+    fn beyond_the_middle_of_a_thin_wall_the_farther_label_tells_the_distance() {
+        // A wall of one voxel, x = 7.5 to 8.5, between label 1 and the background.
+        let grid = Grid::new([16; 3], DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).unwrap();
+        let label = |x: usize| Label(if x < 8 { 1 } else { 2 * u16::from(x == 8) });
+        let voxels: Vec<Label> = (0..4096).map(|v| label(v % 16)).collect();
+        let image = LabelImage::new(grid, voxels, vec![0, 1, 2]).unwrap();
+        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
+        let (distance, normal) = surface.signed_distance(DVec3::new(8.4, 8.0, 8.0), Label(1), Label(2)).unwrap();
+        assert!((distance + 0.9).abs() < 0.03 && normal.distance(DVec3::NEG_X) < 0.01, "{distance} {normal}");
+        let (distance, normal) = surface.signed_distance(DVec3::new(7.6, 8.0, 8.0), Label(2), Label(0)).unwrap();
+        assert!((distance - 0.9).abs() < 0.03 && normal.distance(DVec3::NEG_X) < 0.01, "{distance} {normal}");
     }
 }

@@ -1,0 +1,143 @@
+//! Which labels touch in the image, so that a relabelling does not pierce a wall that is one element thick.
+//!
+//! # Method
+//! Elements may take a label only if each label that they then have a face with lies face to face with it in the image, near
+//! that face.
+//! ```text
+//!    1 1 2 0 0        a wall (2) one voxel thick: labels 1 and 0 meet at corners of voxels only. Where the wall pinches at a
+//!    1 1 1 2 0        vertex, giving elements of the wall to label 1 or 0 would mend the pinch, and open the wall;
+//!    1 1 1 2 0        giving elements of 1 or 0 to the wall mends it too
+//! ```
+//! # Source
+//! Our own; two voxels touch that share a face, the 6-adjacency of [KongRosenfeld1989].
+//!
+//! # Invariants
+//! A relabelling makes no contact between labels that the image keeps apart there.
+
+use glam::{DVec3, IVec3};
+
+use crate::index::Label;
+use crate::lattice::bcc_lattice::{Field, floor_of};
+use crate::lattice::face_adjacency::OUTSIDE;
+use crate::lattice::red_green::RedGreenLattice;
+use crate::mesh::numbering::TET_FACES;
+
+/// A contact of the image counts up to this far from the face, in voxels along each axis: elements at boundaries are up to two
+/// voxels long.
+const REACH: i32 = 2;
+
+/// Elements whose contacts are compared with those of the image.
+pub struct ImageContacts<'a> {
+    lattice: &'a RedGreenLattice<'a>,
+    tets: &'a [[u32; 4]],
+    neighbors: &'a [[u32; 4]],
+}
+
+impl<'a> ImageContacts<'a> {
+    /// The contacts of elements with their neighbours through faces.
+    pub fn new(lattice: &'a RedGreenLattice<'a>, tets: &'a [[u32; 4]], neighbors: &'a [[u32; 4]]) -> Self {
+        Self { lattice, tets, neighbors }
+    }
+
+    /// Whether elements may take a label: the image has each contact that they have then.
+    pub fn allow(&self, labels: &[Label], elements: &[u32], label: Label) -> bool {
+        elements.iter().all(|e| {
+            let own = labels[*e as usize];
+            let row = &self.neighbors[*e as usize];
+            let label_behind = |near: u32| (near != OUTSIDE).then(|| labels[near as usize]);
+            // What it was and what it becomes touch here already.
+            let is_known = row.iter().any(|near| label_behind(*near) == Some(label));
+            (0..4).all(|face| {
+                let Some(other) = label_behind(row[face]) else { return true };
+                other == label
+                    || (other == own && is_known)
+                    || elements.contains(&row[face])
+                    || touch_near(&self.lattice.field, self.center(*e, face), [label, other])
+            })
+        })
+    }
+
+    /// Centroid of a face, local frame, mm.
+    fn center(&self, element: u32, face: usize) -> DVec3 {
+        let tet = &self.tets[element as usize];
+        let corner = |v: usize| self.lattice.frame.local(self.lattice.vertices.positions[tet[v] as usize]);
+        TET_FACES[face].map(corner).iter().sum::<DVec3>() / 3.0
+    }
+}
+
+/// Whether voxels of two labels lie face to face near a place.
+fn touch_near(field: &Field, place: DVec3, labels: [Label; 2]) -> bool {
+    let image = field.image;
+    let nearest = floor_of(place / image.grid().spacing() + 0.5);
+    // What surrounds the image is background.
+    let label_at = |at: IVec3| {
+        let is_inside = at.cmpge(IVec3::ZERO).all() && at.cmplt(field.size()).all();
+        let offset = || image.grid().offset(at.x as usize, at.y as usize, at.z as usize);
+        if is_inside { image.voxels()[offset()] } else { Label::BACKGROUND }
+    };
+    let touches = |at: IVec3| {
+        let own = label_at(at);
+        let is_other = |step: IVec3| {
+            let other = label_at(at + step);
+            other != own && labels.contains(&other)
+        };
+        labels.contains(&own) && [IVec3::X, IVec3::Y, IVec3::Z].into_iter().any(is_other)
+    };
+    let within = |reach: i32| {
+        let side = || -reach..=reach;
+        side().any(|k| side().any(|j| side().any(|i| touches(nearest + IVec3::new(i, j, k)))))
+    };
+    // Nearly every contact is close by.
+    within(1) || within(REACH)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lattice::face_adjacency::neighbors_of;
+    use crate::lattice::test_images::{voxel_image, with_lattice};
+
+    #[test]
+    fn no_element_of_a_wall_may_open_it() {
+        // Labels 1 and 0 on both sides of a wall of one voxel.
+        let image = voxel_image(9, |p| if p.x < 4.0 { 1 } else { 2 * u16::from(p.x < 5.0) });
+        with_lattice(&image, 1.0, |lattice, context| {
+            let elements = lattice.elements(context).unwrap();
+            let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap();
+            let contacts = ImageContacts::new(&lattice, &elements.tets, &neighbors);
+            let (mut allowed, mut refused) = (0, 0);
+            for e in 0..elements.tets.len() {
+                let place = lattice.centroid(&elements.tets[e]);
+                // Away from the border of the image, where label 1 does meet the background.
+                if place.min_element() < 2.6 || place.max_element() > 5.4 {
+                    continue;
+                }
+                let around = neighbors[e].iter().filter(|n| **n != OUTSIDE).map(|n| elements.labels[*n as usize]);
+                for label in [0, 1, 2].map(Label).into_iter().filter(|l| *l != elements.labels[e]) {
+                    let meets = |other: u16| around.clone().any(|l| l == Label(other));
+                    let opens = (label == Label(0) && meets(1)) || (label == Label(1) && meets(0));
+                    assert_eq!(contacts.allow(&elements.labels, &[e as u32], label), !opens, "{place} {label:?}");
+                    if opens { refused += 1 } else { allowed += 1 }
+                }
+            }
+            assert!(allowed > 50 && refused > 10, "{allowed} {refused}");
+        });
+    }
+
+    #[test]
+    fn voxels_that_share_a_corner_do_not_touch_and_those_at_the_border_touch_the_background() {
+        let image = voxel_image(6, |p| {
+            if p.max_element() < 3.0 {
+                1
+            } else {
+                2 * u16::from(p.min_element() > 2.0) + 3 * u16::from(p.min_element() <= 2.0)
+            }
+        });
+        with_lattice(&image, 2.0, |lattice, _| {
+            let touch = |at: DVec3, labels: [u16; 2]| touch_near(&lattice.field, at, labels.map(Label));
+            let middle = DVec3::splat(2.5);
+            assert!(!touch(middle, [1, 2]) && touch(middle, [1, 3]) && touch(middle, [2, 3]));
+            assert!(touch(DVec3::new(-0.5, 1.0, 1.0), [0, 1]) && !touch(middle, [0, 1]));
+        });
+    }
+}
