@@ -21,6 +21,7 @@
 
 use glam::DVec3;
 
+use super::needle_faces::NeedleFaces;
 use crate::geometry::predicates::{insphere, orient3d};
 use crate::geometry::tetrahedron::{dihedral_cosines, face_normals, largest_skewness, volume6};
 use crate::index::{TetFace, VertexId};
@@ -36,6 +37,35 @@ pub trait TetMeasure {
     #[inline]
     fn is_strict(&self, _vertices: &[VertexId]) -> bool {
         false
+    }
+
+    /// How the grade of tets with these vertices, beside one being moved or inserted, counts.
+    #[inline]
+    fn weight(&self, vertices: &[VertexId]) -> Weight {
+        if self.is_strict(vertices) { Weight::Strict } else { Weight::Plain }
+    }
+}
+
+/// How the grade of a tet counts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Weight {
+    /// As it is.
+    Plain,
+    /// As [`strict`] makes it.
+    Strict,
+    /// Times a factor, for what the boundary forces.
+    Relieved(f64),
+}
+
+impl Weight {
+    /// What a grade counts.
+    #[inline]
+    pub fn of(self, grade: f64) -> f64 {
+        match self {
+            Self::Plain => grade,
+            Self::Strict => strict(grade),
+            Self::Relieved(factor) => grade * factor,
+        }
     }
 }
 
@@ -137,6 +167,8 @@ pub struct StrictInside<'a, G = BiasedSine> {
     pub angles: G,
     /// Which vertices lie on the boundary; those beyond the end do not.
     pub on_boundary: &'a [bool],
+    /// Needles of the boundary: tets on them are forced to be bad.
+    pub needles: Option<&'a NeedleFaces>,
 }
 
 impl<G: TetMeasure> TetMeasure for StrictInside<'_, G> {
@@ -148,6 +180,17 @@ impl<G: TetMeasure> TetMeasure for StrictInside<'_, G> {
     #[inline]
     fn is_strict(&self, vertices: &[VertexId]) -> bool {
         !vertices.iter().any(|v| self.on_boundary.get(v.index()).copied().unwrap_or(false))
+    }
+
+    #[inline]
+    fn weight(&self, vertices: &[VertexId]) -> Weight {
+        if self.is_strict(vertices) {
+            return Weight::Strict;
+        }
+        match self.needles.map_or(1.0, |needles| needles.relief(vertices)) {
+            relief if relief > 1.0 => Weight::Relieved(relief),
+            _ => Weight::Plain,
+        }
     }
 }
 
@@ -251,7 +294,7 @@ mod tests {
         assert!(strict(0.9 * limit) > strict(0.8 * limit) && strict(0.8 * limit) > 0.0);
         // A tet off the boundary at 12 degrees counts less than one on it at 5.
         assert!(strict(12.0f64.to_radians().sin()) < 6.0f64.to_radians().sin());
-        let measure = StrictInside { angles: BiasedSine, on_boundary: &[true, false] };
+        let measure = StrictInside { angles: BiasedSine, on_boundary: &[true, false], needles: None };
         assert!(!measure.is_strict(&[VertexId(0), VertexId(1)]) && measure.is_strict(&[VertexId(1), VertexId(9)]));
     }
 

@@ -38,7 +38,7 @@ mod vertex_operations;
 pub use face_removal::plan_face_removal;
 pub use vertex_operations::{Feature, plan_contraction, plan_insertion, plan_vertex_removal, touches_constraint};
 
-use crate::conforming::flip_criteria::{TetMeasure, strict};
+use crate::conforming::flip_criteria::TetMeasure;
 use crate::error::{Error, Result};
 use crate::geometry::predicates::orient3d;
 use crate::index::{Label, TetFace, TetId, VertexId};
@@ -81,8 +81,8 @@ pub struct Plan {
     pub old_grade: f64,
     /// Grade of the worst new tet.
     pub new_grade: f64,
-    /// A vertex that the replacement leaves without tets.
-    pub removed_vertex: Option<VertexId>,
+    /// Vertices that the replacement leaves without tets.
+    pub removed_vertices: Vec<VertexId>,
 }
 
 impl Plan {
@@ -93,7 +93,7 @@ impl Plan {
         self.label = label;
         self.old_grade = f64::INFINITY;
         self.new_grade = f64::INFINITY;
-        self.removed_vertex = None;
+        self.removed_vertices.clear();
     }
 
     /// Whether every finite new tet is positive, exactly.
@@ -143,7 +143,7 @@ pub enum Accept {
 
 impl Accept {
     #[inline]
-    fn threshold(self, old_grade: f64) -> f64 {
+    pub(super) fn threshold(self, old_grade: f64) -> f64 {
         match self {
             Self::Valid => 0.0,
             // A little more than equal, so that two configurations of the same grade never alternate.
@@ -155,8 +155,7 @@ impl Accept {
 
 #[inline]
 fn grade_of<S: TetStore + ?Sized, M: TetMeasure>(store: &S, measure: &M, tet: [VertexId; 4]) -> f64 {
-    let grade = measure.grade(store.corners(tet));
-    if measure.is_strict(&tet) { strict(grade) } else { grade }
+    measure.weight(&tet).of(measure.grade(store.corners(tet)))
 }
 
 /// Claims a tet and refuses what no flip may touch.
@@ -407,9 +406,7 @@ pub fn commit<S: TetStore + ?Sized>(store: &mut S, scratch: &mut FlipScratch) ->
             mark_edges(store, tet, vertices, edges);
         }
     }
-    if let Some(vertex) = plan.removed_vertex {
-        store.set_tet_of(vertex, TetId::NONE);
-    }
+    plan.removed_vertices.iter().for_each(|&vertex| store.set_tet_of(vertex, TetId::NONE));
     debug_assert!(open.iter().all(|f| f.side == TetFace::NONE), "the plan fills its border");
     Ok(())
 }

@@ -35,6 +35,7 @@ use super::front::UNSETTLED;
 use super::local_reconnection::{FlipCounts, FourFour, Objective, Reconnector};
 use super::options::Options;
 use super::sliver_removal::SliverScratch;
+use super::small_polyhedron::PolyhedronScratch;
 use super::smoothing::{Smoother, SmoothingRule};
 use super::spacing::Spacing;
 use super::vertex_insertion::{Insertion, InsertionRule, insert_vertex};
@@ -96,6 +97,7 @@ struct Kit {
     reconnector: Reconnector,
     smoother: Smoother,
     slivers: SliverScratch,
+    polyhedra: PolyhedronScratch,
     rejected: Vec<Rejected>,
     /// Vertices without tets that sliver removal may use.
     spare: Vec<VertexId>,
@@ -141,6 +143,8 @@ struct Tally {
     /// Insertions tried.
     tried: u64,
     inserted: u64,
+    /// Polyhedra tried to reconnect, and reconnected.
+    polyhedra: [u64; 2],
 }
 
 /// Counts of the points that treatments tried, inserted and removed.
@@ -378,6 +382,8 @@ impl Driver {
             ("vertices_removed", sum(|t| t.removed)),
             ("points_tried", sum(|t| t.tried)),
             ("vertices_inserted", sum(|t| t.inserted)),
+            ("polyhedra_tried", sum(|t| t.polyhedra[0])),
+            ("polyhedra_reconnected", sum(|t| t.polyhedra[1])),
             ("attempts", self.speculative.attempts as f64),
             ("attempts_lost", self.speculative.lost as f64),
             ("finished_alone", self.speculative.finished_alone as f64),
@@ -601,7 +607,7 @@ impl Driver {
         sizes: &mut Vec<f64>,
         on_boundary: &[bool],
         bad: Vec<TetId>,
-        treatment: &Treatment,
+        treatment: &Treatment<'_>,
     ) -> Result<usize> {
         let before: u64 = self.kits.iter().map(|k| k.tally.done).sum();
         if treatment.changes_vertices {
@@ -609,10 +615,10 @@ impl Driver {
         }
         let room = 4 * bad.len();
         if treatment.shuns_skew_faces {
-            let measure = StrictInside { angles: UnskewedSine, on_boundary };
+            let measure = StrictInside { angles: UnskewedSine, on_boundary, needles: treatment.needles };
             self.run(complex, &TreatJob { sizes, measure, treatment }, bad, room)?;
         } else {
-            let measure = StrictInside { angles: BiasedSine, on_boundary };
+            let measure = StrictInside { angles: BiasedSine, on_boundary, needles: treatment.needles };
             self.run(complex, &TreatJob { sizes, measure, treatment }, bad, room)?;
         }
         for kit in &mut self.kits {

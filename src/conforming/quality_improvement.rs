@@ -9,9 +9,13 @@
 //!    removal, a search for the best place of each vertex; for those above `angdfs` also vertex removal and insertion.
 //!
 //! After the passes the worst tets get all operations, points close to others only as long as few of them are. Tets that
-//! are nearly flat, or bad without a vertex on the boundary, get them wherever the points come to lie. Up to `nqualf` times, while a tet is above `angqmax`, passes and
-//! operations are repeated around these tets. At the end, tets with faces that finite-volume solvers find skew get all
-//! operations under a measure that counts skewness: needles on a small triangle may lean far while their angles are good.
+//! are nearly flat, or bad without a vertex on the boundary, get them wherever the points come to lie.
+//! Up to `nqualf` times, while a tet is above `angqmax`, passes and operations are repeated around these tets.
+//!
+//! Slivers that the boundary does not force then get all operations and the reconnection of small polyhedra, while tets on
+//! the boundary's needles count as better than they are (`needle_faces`). At the end, tets with faces that finite-volume
+//! solvers find skew get all operations under a measure that counts skewness: needles on a small triangle may lean far
+//! while their angles are good.
 //!
 //! # Source
 //! [Drakopoulos2017] 4.9; B.3 `nqual`, `nqualf`, `angqual`, `angqmsk`, `angqmax`, `mrecqm`, `mrecqmf`, `ordtq`, `mdfs`, `ndfs`,
@@ -36,6 +40,7 @@ use rayon::prelude::*;
 
 use super::flip_criteria::{BiasedSine, STRICT_ANGLE, StrictInside, TetMeasure, UnskewedSine};
 use super::local_reconnection::{FourFour, Objective};
+use super::needle_faces::NeedleFaces;
 use super::options::Options;
 use super::parallel_reconnection::{Crowding, Driver, FLAT_BELOW, Touched, Treatment, count_of_bad};
 use super::refinement::boundary_triangles;
@@ -248,12 +253,15 @@ pub fn sliver_count(complex: &TetComplex, context: &RunContext) -> usize {
 }
 
 fn slivers(complex: &TetComplex, context: &RunContext) -> Vec<TetId> {
+    let sliver = |tet: TetId| sliver_cosine(complex.points_of(tet));
+    sift(complex, context, &Scope::default(), |_| false, sliver).0
+}
+
+/// The cosine of the largest angle of a tet that is a sliver.
+fn sliver_cosine(corners: [DVec3; 4]) -> Option<f64> {
     let limit = SLIVER_DEGREES.to_radians().cos();
-    let is_sliver = |tet: TetId| {
-        let (largest, smallest) = dihedral_cosines(complex.points_of(tet));
-        (largest > limit || smallest < -limit).then_some(smallest)
-    };
-    sift(complex, context, &Scope::default(), |_| false, is_sliver).0
+    let (largest, smallest) = dihedral_cosines(corners);
+    (largest > limit || smallest < -limit).then_some(smallest)
 }
 
 /// Whether a face of the tet may be skew. The apex of one stands more than 12 of the face's extents beside its centroid
@@ -529,7 +537,7 @@ impl Improver<'_> {
         for _ in 0..LAST_ROUNDS {
             self.context.check()?;
             let mut bad = self.known.tets_below(complex, self.context, &scope, limit);
-            let measure = StrictInside { angles: BiasedSine, on_boundary: self.on_boundary };
+            let measure = StrictInside { angles: BiasedSine, on_boundary: self.on_boundary, needles: None };
             bad.retain(|&tet| {
                 measure.is_strict(&complex.vertices(tet)) || BiasedSine.grade(complex.points_of(tet)) < flat
             });
@@ -537,6 +545,34 @@ impl Improver<'_> {
                 break;
             }
             scope = Scope::beside_changes(complex, self.context, self.driver.take_touched());
+        }
+        self.treat_unforced_slivers(complex, sizes)
+    }
+
+    /// All operations, and the reconnection of small polyhedra, at the slivers that the boundary does not force, while tets on
+    /// its needles count as better than they are: what is forced bounds no other tet then.
+    fn treat_unforced_slivers(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>) -> Result<()> {
+        if !self.options.delete_field_slivers {
+            return Ok(());
+        }
+        // No sliver has a better grade: large angles weigh more.
+        let limit = SLIVER_DEGREES.to_radians().sin();
+        let mut needles: Option<NeedleFaces> = None;
+        for _ in 0..LAST_ROUNDS {
+            self.context.check()?;
+            let mut bad = self.known.tets_below(complex, self.context, &Scope::default(), limit);
+            bad.retain(|&tet| sliver_cosine(complex.points_of(tet)).is_some() && !is_forced_sliver(complex, tet));
+            if bad.is_empty() {
+                break;
+            }
+            let needles = needles.get_or_insert_with(|| {
+                NeedleFaces::new(complex.points(), &boundary_triangles(complex, self.context), FLAT_BELOW)
+            });
+            let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
+            let treatment = Treatment::last_resort(goal, needles);
+            if self.driver.treat(complex, sizes, self.on_boundary, bad, &treatment)? == 0 {
+                break;
+            }
         }
         Ok(())
     }

@@ -28,7 +28,7 @@ pub use grown_cavity::plan_grown_insertion;
 
 use glam::DVec3;
 
-use super::flip_criteria::{TetMeasure, strict};
+use super::flip_criteria::TetMeasure;
 use super::flips::{FlipScratch, Outcome};
 use super::smoothing::Star;
 use super::spacing::Spacing;
@@ -125,10 +125,7 @@ pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
                 continue;
             }
         }
-        let graded = |&t: &TetId| {
-            let grade = measure.grade(store.points_of(t));
-            if measure.is_strict(&store.vertices(t)) { strict(grade) } else { grade }
-        };
+        let graded = |&t: &TetId| measure.weight(&store.vertices(t)).of(measure.grade(store.points_of(t)));
         let old = scratch.cavity.iter().map(graded).fold(f64::INFINITY, f64::min);
         let bound = best.map_or(limits.floor.max(old * (1.0 + 1e-6)), |(grade, ..)| grade);
         let Some((place, grade)) = best_place(store, tet, measure, scratch) else {
@@ -198,12 +195,12 @@ impl SliverScratch {
     /// The star of the border's faces.
     fn fill_star<S: TetStore + ?Sized, M: TetMeasure>(&mut self, store: &S, measure: &M) {
         self.star.faces.clear();
-        self.star.strict.clear();
+        self.star.weights.clear();
         for &side in &self.border {
             let vertices = store.face_vertices(side);
             let [a, b, c] = vertices.map(|v| store.point(v));
             self.star.faces.push([a, c, b]);
-            self.star.strict.push(measure.is_strict(&vertices));
+            self.star.weights.push(measure.weight(&vertices));
         }
     }
 

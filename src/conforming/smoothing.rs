@@ -23,7 +23,7 @@
 
 use glam::DVec3;
 
-use super::flip_criteria::{TetMeasure, strict};
+use super::flip_criteria::{TetMeasure, Weight};
 use super::flips::{Outcome, touches_constraint};
 use super::spacing::Spacing;
 use crate::geometry::predicates::orient3d;
@@ -78,8 +78,8 @@ pub struct SmoothingRule {
 pub struct Star {
     /// Corners (a, b, c) with (a, b, c, P) positive. 72 B / face.
     pub faces: Vec<[DVec3; 3]>,
-    /// Which faces give tets that are graded strictly, in the order of `faces`; read by the search only. 1 B / face.
-    pub strict: Vec<bool>,
+    /// How the grades of the faces' tets count, in the order of `faces`; read by the search only. 16 B / face.
+    pub weights: Vec<Weight>,
     grades: Vec<f64>,
 }
 
@@ -101,9 +101,9 @@ impl Star {
     #[inline]
     fn strict_grade<M: TetMeasure>(&self, measure: &M, point: DVec3, bound: f64) -> f64 {
         let mut worst = f64::INFINITY;
-        for (&[a, b, c], &is_strict) in self.faces.iter().zip(&self.strict) {
+        for (&[a, b, c], weight) in self.faces.iter().zip(&self.weights) {
             let grade = measure.grade([a, b, c, point]);
-            worst = worst.min(if is_strict { strict(grade) } else { grade });
+            worst = worst.min(weight.of(grade));
             if worst <= bound {
                 break;
             }
@@ -189,9 +189,9 @@ impl Star {
 
     fn grades_at<M: TetMeasure>(&mut self, measure: &M, point: DVec3) -> f64 {
         self.grades.clear();
-        self.grades.extend(self.faces.iter().zip(&self.strict).map(|(&[a, b, c], &is_strict)| {
+        self.grades.extend(self.faces.iter().zip(&self.weights).map(|(&[a, b, c], weight)| {
             let grade = measure.grade([a, b, c, point]);
-            if is_strict { strict(grade) } else { grade }
+            weight.of(grade)
         }));
         self.grades.iter().copied().fold(f64::INFINITY, f64::min)
     }
@@ -243,7 +243,7 @@ impl Smoother {
         }
         let Some(start) = store.tet_of(vertex).some() else { return Outcome::NotApplicable };
         self.star.faces.clear();
-        self.star.strict.clear();
+        self.star.weights.clear();
         if !store.try_claim_all(&store.vertices(start)) {
             return Outcome::ClaimLost;
         }
@@ -259,7 +259,7 @@ impl Smoother {
             let [i, j, k] = TET_FACES[local];
             let [a, b, c] = store.triangle([row[i], row[j], row[k]]);
             self.star.faces.push([a, c, b]);
-            self.star.strict.push(measure.is_strict(&[row[i], row[j], row[k]]));
+            self.star.weights.push(measure.weight(&[row[i], row[j], row[k]]));
             for face in 0..4 {
                 // The face's vertices are held, so that only the apex beyond is to be claimed.
                 if face != local && neighbors[face] != TetFace::NONE && walk.meet(neighbors[face].tet()) {

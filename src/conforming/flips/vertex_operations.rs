@@ -221,6 +221,6 @@ fn contract_claimed<S: TetStore + ?Sized, M: TetMeasure>(
         }
         plan.new.push(new);
     }
-    plan.removed_vertex = Some(vertex);
+    plan.removed_vertices.push(vertex);
     if plan.new.len() < plan.old.len() && plan.is_positive(store) { Outcome::Accepted } else { Outcome::WouldInvert }
 }

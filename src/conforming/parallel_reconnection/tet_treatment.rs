@@ -21,7 +21,9 @@ use glam::DVec3;
 
 use super::super::flip_criteria::{BiasedSine, STRICT_ANGLE, StrictInside, TetMeasure, UnskewedSine};
 use super::super::flips::{Accept, Outcome, plan_edge_removal, plan_face_removal, plan_vertex_removal};
+use super::super::needle_faces::NeedleFaces;
 use super::super::sliver_removal::{InsertionLimits, plan_grown_insertion, plan_sliver_insertion};
+use super::super::small_polyhedron::plan_polyhedron_reconnection;
 use super::super::spacing::Spacing;
 use super::{Job, Kit};
 use crate::error::Result;
@@ -68,29 +70,46 @@ pub fn count_of_bad(complex: &TetComplex, bad: &[TetId]) -> usize {
 
 /// Which operations bad tets get.
 #[derive(Debug, Clone, Copy)]
-pub struct Treatment {
+pub struct Treatment<'a> {
     /// Most tets around an edge that is removed.
     pub edge_limit: usize,
     /// Whether vertices are removed and inserted.
     pub changes_vertices: bool,
+    /// Whether, before that, small polyhedra are reconnected: costly.
+    pub reconnects_polyhedra: bool,
     /// Whether inserted points may be close to others.
     pub crowding: Crowding,
     /// Tets of this grade or better are left alone.
     pub goal: f64,
     /// Whether skew faces make a tet bad.
     pub shuns_skew_faces: bool,
+    /// Needles of the boundary whose tets count as better than they are.
+    pub needles: Option<&'a NeedleFaces>,
 }
 
-impl Treatment {
+impl<'a> Treatment<'a> {
     /// Edge and face removal and moves of vertices.
     pub fn topological(goal: f64) -> Self {
         let crowding = Crowding::Refused;
-        Self { edge_limit: 8, changes_vertices: false, crowding, goal, shuns_skew_faces: false }
+        Self {
+            edge_limit: 8,
+            changes_vertices: false,
+            reconnects_polyhedra: false,
+            crowding,
+            goal,
+            shuns_skew_faces: false,
+            needles: None,
+        }
     }
 
     /// All operations.
     pub fn everything(goal: f64, crowding: Crowding) -> Self {
-        Self { edge_limit: 10, changes_vertices: true, crowding, goal, shuns_skew_faces: false }
+        Self { edge_limit: 10, changes_vertices: true, crowding, ..Self::topological(goal) }
+    }
+
+    /// All operations, and the reconnection of small polyhedra, for the sake of what no needle of the boundary forces.
+    pub fn last_resort(goal: f64, needles: &'a NeedleFaces) -> Self {
+        Self { reconnects_polyhedra: true, needles: Some(needles), ..Self::everything(goal, Crowding::Allowed) }
     }
 
     /// All operations, for the sake of skew faces.
@@ -128,7 +147,7 @@ fn insertion_limits(
 pub(super) struct TreatJob<'a, G> {
     pub sizes: &'a [f64],
     pub measure: StrictInside<'a, G>,
-    pub treatment: &'a Treatment,
+    pub treatment: &'a Treatment<'a>,
 }
 
 impl<G: TetMeasure> TreatJob<'_, G> {
@@ -168,6 +187,45 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         Ok(if lost { Outcome::ClaimLost } else { Outcome::WorsensQuality })
     }
 
+    /// The best reconnection of a polyhedron around the tet.
+    fn reconnect_polyhedron<S: TetStore>(
+        &self,
+        store: &mut S,
+        kit: &mut Kit,
+        (tet, row): (TetId, [VertexId; 4]),
+    ) -> Result<Outcome> {
+        let Some(spare) = kit.spare.pop() else { return Ok(Outcome::NotApplicable) };
+        let Kit { polyhedra, reconnector, .. } = kit;
+        let scratch = &mut reconnector.scratch;
+        let (outcome, place) =
+            plan_polyhedron_reconnection(store, (tet, spare), self.treatment.goal, &self.measure, polyhedra, scratch);
+        if let Some(place) = place {
+            store.set_point(spare, place);
+        }
+        kit.tally.polyhedra[0] += 1;
+        let done = Self::commit(store, kit, outcome)?;
+        if done {
+            kit.tally.polyhedra[1] += 1;
+            let removed = &kit.reconnector.scratch.plan.removed_vertices;
+            kit.tally.removed += removed.len() as u64;
+            kit.removed.extend_from_slice(removed);
+        }
+        if done && place.is_some() {
+            kit.new_sizes.push((spare, self.size_at(row)));
+            kit.tally.inserted += 1;
+        } else {
+            kit.spare.push(spare);
+        }
+        // Without room it is to be tried again.
+        Ok(if outcome == Outcome::Accepted && !done { Outcome::ClaimLost } else { outcome })
+    }
+
+    /// The average size of a tet's vertices.
+    fn size_at(&self, row: [VertexId; 4]) -> f64 {
+        let known = row.iter().filter_map(|v| self.sizes.get(v.index()).copied());
+        known.clone().sum::<f64>() / known.count().max(1) as f64
+    }
+
     /// Moves each vertex to its best place; whether any moved.
     fn move_vertices<S: TetStore>(&self, store: &mut S, kit: &mut Kit, row: [VertexId; 4]) -> bool {
         let grade = self.measure.grade(store.corners(row));
@@ -184,14 +242,8 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         moved
     }
 
-    /// Vertex removal, then insertion.
-    fn change_vertices<S: TetStore>(
-        &self,
-        store: &mut S,
-        kit: &mut Kit,
-        tet: TetId,
-        row: [VertexId; 4],
-    ) -> Result<Outcome> {
+    /// Removes one of the vertices.
+    fn remove_vertex<S: TetStore>(&self, store: &mut S, kit: &mut Kit, row: [VertexId; 4]) -> Result<Outcome> {
         let mut lost = false;
         for vertex in row.into_iter().filter(|v| !self.is_fixed(*v)) {
             let scratch = &mut kit.reconnector.scratch;
@@ -203,10 +255,20 @@ impl<G: TetMeasure> TreatJob<'_, G> {
             }
             lost |= outcome == Outcome::ClaimLost;
         }
+        Ok(if lost { Outcome::ClaimLost } else { Outcome::WorsensQuality })
+    }
+
+    /// Inserts a point into a polyhedron around the tet.
+    fn insert_point<S: TetStore>(
+        &self,
+        store: &mut S,
+        kit: &mut Kit,
+        tet: TetId,
+        row: [VertexId; 4],
+    ) -> Result<Outcome> {
         let Some(vertex) = kit.spare.pop() else { return Ok(Outcome::NotApplicable) };
         kit.tally.tried += 1;
-        let known = row.iter().filter_map(|v| self.sizes.get(v.index()).copied());
-        let size = known.clone().sum::<f64>() / known.count().max(1) as f64;
+        let size = self.size_at(row);
         let grade = self.measure.grade(store.corners(row));
         let is_off = self.measure.is_strict(&row);
         let limits = insertion_limits(grade, is_off, (size, self.sizes), self.treatment.crowding);
@@ -236,7 +298,7 @@ impl<G: TetMeasure> TreatJob<'_, G> {
             return Ok(Outcome::Accepted);
         }
         kit.spare.push(vertex);
-        Ok(if lost { Outcome::ClaimLost } else { outcome })
+        Ok(outcome)
     }
 }
 
@@ -273,11 +335,22 @@ impl<G: TetMeasure + Sync> Job for TreatJob<'_, G> {
             _ => {}
         }
         let mut improved = self.move_vertices(store, kit, row);
-        if !improved && self.treatment.changes_vertices {
-            match self.change_vertices(store, kit, tet, row)? {
-                Outcome::Accepted => improved = true,
-                Outcome::ClaimLost => return Ok(Attempt::ClaimLost),
-                _ => {}
+        if self.treatment.changes_vertices {
+            for operation in 0..3 {
+                if improved {
+                    break;
+                }
+                let outcome = match operation {
+                    0 if self.treatment.reconnects_polyhedra => self.reconnect_polyhedron(store, kit, (tet, row))?,
+                    1 => self.remove_vertex(store, kit, row)?,
+                    2 => self.insert_point(store, kit, tet, row)?,
+                    _ => Outcome::NotApplicable,
+                };
+                match outcome {
+                    Outcome::Accepted => improved = true,
+                    Outcome::ClaimLost => return Ok(Attempt::ClaimLost),
+                    _ => {}
+                }
             }
         }
         kit.tally.done += u64::from(improved);

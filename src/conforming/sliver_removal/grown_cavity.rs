@@ -24,7 +24,7 @@
 use glam::DVec3;
 
 use super::{InsertionLimits, SliverScratch, collect_border};
-use crate::conforming::flip_criteria::{TetMeasure, strict};
+use crate::conforming::flip_criteria::TetMeasure;
 use crate::conforming::flips::{FlipScratch, Outcome};
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::tet_store::TetStore;
@@ -152,10 +152,7 @@ fn grow_from<S: TetStore + ?Sized, M: TetMeasure>(
     scratch.refused.clear();
     let tet = scratch.cavity[0];
     let most = MAX_GROWN + scratch.cavity.len() - 1;
-    let graded = |store: &S, tet: TetId| {
-        let grade = measure.grade(store.points_of(tet));
-        if measure.is_strict(&store.vertices(tet)) { strict(grade) } else { grade }
-    };
+    let graded = |store: &S, tet: TetId| measure.weight(&store.vertices(tet)).of(measure.grade(store.points_of(tet)));
     let mut best: Option<Best> = None;
     let mut old_grade = scratch.cavity.iter().map(|&tet| graded(store, tet)).fold(f64::INFINITY, f64::min);
     let mut waited = 0;
@@ -210,7 +207,7 @@ fn let_next_in<S: TetStore + ?Sized, M: TetMeasure>(
             continue;
         }
         let [a, b, c] = scratch.star.faces[at];
-        scratch.order.push((measure.grade([a, b, c, place]), side));
+        scratch.order.push((scratch.star.weights[at].of(measure.grade([a, b, c, place])), side));
     }
     scratch.order.sort_unstable_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
     let label = store.label(scratch.cavity[0]);
