@@ -524,7 +524,7 @@ impl Removal<'_> {
         (ring, ears): (&Ring, Ears),
     ) -> Result<bool> {
         let n = ring.count;
-        // Starting elsewhere each time: attempts that begin alike fail alike, and left half as many edges again missing.
+        // Starting elsewhere each time: attempts that begin alike fail alike.
         let turn = self.reach.turn + mesh.reconnections;
         for i in (0..n).map(|i| (i + turn) % n) {
             let [p, after] = [ring.vertices[i], ring.vertices[(i + 1) % n]];
