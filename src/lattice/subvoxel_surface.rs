@@ -456,5 +456,10 @@ mod tests {
         assert!((distance + 0.9).abs() < 0.03 && normal.distance(DVec3::NEG_X) < 0.01, "{distance} {normal}");
         let (distance, normal) = surface.signed_distance(DVec3::new(7.6, 8.0, 8.0), Label(2), Label(0)).unwrap();
         assert!((distance - 0.9).abs() < 0.03 && normal.distance(DVec3::NEG_X) < 0.01, "{distance} {normal}");
+        // Past the wall label 1 has no distance, and the blurred indicators of both labels fall towards the background.
+        let beyond = DVec3::new(8.6, 8.0, 8.0);
+        assert!(surface.smooth_difference(beyond, Label(1), Label(2)).is_none());
+        let (distance, normal) = surface.signed_distance(beyond, Label(1), Label(2)).unwrap();
+        assert!((distance + 1.0).abs() < 0.4 && normal.distance(DVec3::NEG_X) < 0.01, "{distance} {normal}");
     }
 }
