@@ -153,8 +153,9 @@ impl Accept {
     }
 }
 
+/// The grade of the tet with these vertices, as it counts.
 #[inline]
-fn grade_of<S: TetStore + ?Sized, M: TetMeasure>(store: &S, measure: &M, tet: [VertexId; 4]) -> f64 {
+pub(super) fn grade_of<S: TetStore + ?Sized, M: TetMeasure>(store: &S, measure: &M, tet: [VertexId; 4]) -> f64 {
     measure.weight(&tet).of(measure.grade(store.corners(tet)))
 }
 

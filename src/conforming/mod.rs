@@ -28,6 +28,7 @@ pub mod fault_picture;
 pub mod flip_criteria;
 pub mod flips;
 pub mod front;
+mod front_clearance;
 pub mod input_check;
 mod kernel_mesh;
 pub mod local_reconnection;
@@ -56,6 +57,8 @@ mod reconnection_stress_tests;
 mod recovery_tests;
 #[cfg(test)]
 mod sizing_tests;
+#[cfg(test)]
+mod test_meshes;
 #[cfg(test)]
 pub(crate) mod test_surfaces;
 #[cfg(test)]

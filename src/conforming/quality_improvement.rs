@@ -557,6 +557,7 @@ impl Improver<'_> {
         }
         // No sliver has a better grade: large angles weigh more.
         let limit = SLIVER_DEGREES.to_radians().sin();
+        let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
         let mut needles: Option<NeedleFaces> = None;
         for _ in 0..LAST_ROUNDS {
             self.context.check()?;
@@ -568,7 +569,6 @@ impl Improver<'_> {
             let needles = needles.get_or_insert_with(|| {
                 NeedleFaces::new(complex.points(), &boundary_triangles(complex, self.context), FLAT_BELOW)
             });
-            let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
             let treatment = Treatment::last_resort(goal, needles);
             if self.driver.treat(complex, sizes, self.on_boundary, bad, &treatment)? == 0 {
                 break;

@@ -29,7 +29,7 @@ pub use grown_cavity::plan_grown_insertion;
 use glam::DVec3;
 
 use super::flip_criteria::TetMeasure;
-use super::flips::{FlipScratch, Outcome};
+use super::flips::{FlipScratch, Outcome, grade_of};
 use super::smoothing::Star;
 use super::spacing::Spacing;
 use crate::geometry::tetrahedron::dihedral_angles;
@@ -125,7 +125,7 @@ pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
                 continue;
             }
         }
-        let graded = |&t: &TetId| measure.weight(&store.vertices(t)).of(measure.grade(store.points_of(t)));
+        let graded = |&t: &TetId| grade_of(store, measure, store.vertices(t));
         let old = scratch.cavity.iter().map(graded).fold(f64::INFINITY, f64::min);
         let bound = best.map_or(limits.floor.max(old * (1.0 + 1e-6)), |(grade, ..)| grade);
         let Some((place, grade)) = best_place(store, tet, measure, scratch) else {
@@ -280,30 +280,13 @@ fn best_place<S: TetStore + ?Sized, M: TetMeasure>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::conforming::delaunay_kernel::{DelaunayOptions, tetrahedralize};
     use crate::conforming::flip_criteria::BiasedSine;
     use crate::conforming::flips::commit;
-    use crate::context::RunContext;
-    use crate::index::Label;
+    use crate::conforming::test_meshes::random_mesh;
     use crate::mesh::tet_complex::TetComplex;
 
     const FREE: InsertionLimits<'_> =
         InsertionLimits { floor: 0.0, spacing: Spacing::FREE, size: 0.0, every_edge: false };
-
-    /// The Delaunay tets of points by a linear congruential generator: many are slivers.
-    fn random_mesh(count: usize) -> TetComplex {
-        let mut state = 11u32;
-        let mut next = || {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            f64::from(state >> 8) / f64::from(1 << 24)
-        };
-        let points: Vec<DVec3> = (0..count).map(|_| DVec3::new(next(), next(), next())).collect();
-        let options = DelaunayOptions::default();
-        let mut complex = tetrahedralize(&points, &options, &RunContext::with_threads(1).unwrap()).unwrap().complex;
-        let tets: Vec<TetId> = complex.finite_tets().collect();
-        tets.into_iter().for_each(|tet| complex.set_label(tet, Label(1)));
-        complex
-    }
 
     /// Constrains an edge in all tets that have it.
     fn hold_edge(complex: &mut TetComplex, ends: [VertexId; 2]) {
@@ -317,7 +300,7 @@ mod tests {
 
     #[test]
     fn polyhedra_of_other_edges_help_where_the_worst_edge_is_held() {
-        let mesh = random_mesh(300);
+        let mesh = random_mesh(11, 300);
         let worst = |tet: TetId| dihedral_angles(mesh.points_of(tet)).into_iter().fold(0.0, f64::max);
         let bad: Vec<TetId> = mesh.finite_tets().filter(|&tet| worst(tet) > 2.9).collect();
         let mut accepted = [0, 0];
@@ -351,7 +334,7 @@ mod tests {
 
     #[test]
     fn grown_polyhedra_better_what_they_replace_and_keep_held_edges() {
-        let mesh = random_mesh(300);
+        let mesh = random_mesh(11, 300);
         let smallest = |tet: TetId| dihedral_angles(mesh.points_of(tet)).into_iter().fold(f64::INFINITY, f64::min);
         let bad: Vec<TetId> = mesh.finite_tets().filter(|&tet| smallest(tet) < 5.0).collect();
         let mut accepted = [0, 0];
@@ -391,7 +374,7 @@ mod tests {
 
     #[test]
     fn grown_polyhedra_keep_the_distance_asked_for() {
-        let mesh = random_mesh(300);
+        let mesh = random_mesh(11, 300);
         let sizes: Vec<f64> = (0..300).map(|v| if v % 2 == 0 { 0.1 } else { 0.3 }).collect();
         let bad = mesh.finite_tets().filter(|&tet| BiasedSine.grade(mesh.points_of(tet)) < 0.1);
         let mut accepted = [0, 0];

@@ -30,11 +30,10 @@
 //! Exponential at worst: the steps are limited. A millisecond or two a polyhedron, so only for the few worst tets.
 
 use glam::DVec3;
-use rustc_hash::FxHashMap;
 
 use super::flip_criteria::TetMeasure;
-use super::flips::{Accept, FlipScratch, Outcome, touches_constraint};
-use crate::geometry::intersection::segment_meets_triangle;
+use super::flips::{Accept, FlipScratch, Outcome, grade_of, touches_constraint};
+use super::front_clearance::{Clearance, Face, bits, mirrored, other_faces, turned};
 use crate::geometry::predicates::orient3d;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_EDGES;
@@ -51,14 +50,12 @@ const STEPS: usize = 4000;
 /// regular tet of a regular face; the others are halves.
 const HEIGHTS: [f64; 4] = [0.88, 0.44, 0.22, 0.11];
 
-type Face = [u8; 3];
-
 /// A face with an empty side.
 #[derive(Debug, Clone, Copy)]
 struct FrontFace {
     /// Smallest vertex first, turned so that a positive tet lies on it.
     face: Face,
-    candidates: u32,
+    candidates: u64,
     /// Whether a step placed it: the tests against the border do not cover it.
     is_new: bool,
 }
@@ -78,15 +75,9 @@ pub struct PolyhedronScratch {
 #[derive(Debug, Clone, Default)]
 struct Filling {
     ids: Vec<VertexId>,
-    points: Vec<DVec3>,
+    clearance: Clearance,
     /// Grades by the rank of four ascending vertices: negative where the tet of that order is; NaN where unknown.
     grades: Vec<f64>,
-    start: Vec<Face>,
-    start_edges: Vec<[u8; 2]>,
-    /// Whether edges and faces are clear of the border, by their vertices packed.
-    clear: FxHashMap<u32, bool>,
-    /// Whether an edge meets a face, by both packed.
-    meetings: FxHashMap<u32, bool>,
     /// The fronts of all steps on the way, one after the other.
     fronts: Vec<FrontFace>,
     tets: Vec<[u8; 4]>,
@@ -125,7 +116,7 @@ pub fn plan_polyhedron_reconnection<S: TetStore + ?Sized, M: TetMeasure>(
     if !store.try_claim(spare) || !store.try_claim_tet(tet) {
         return (Outcome::ClaimLost, None);
     }
-    let before = graded(store, measure, tet);
+    let before = grade_of(store, measure, store.vertices(tet));
     scratch.begin(store, tet, (Accept::Better.threshold(before), goal));
     let (mut last, mut place) = (Search::Failed, None);
     while scratch.filling.ids.len() < MOST_VERTICES && scratch.filling.steps_left > 0 {
@@ -152,12 +143,6 @@ pub fn plan_polyhedron_reconnection<S: TetStore + ?Sized, M: TetMeasure>(
         }
     }
     (Outcome::WorsensQuality, None)
-}
-
-fn graded<S: TetStore + ?Sized, M: TetMeasure>(store: &S, measure: &M, tet: TetId) -> f64 {
-    let row = store.vertices(tet);
-    let grade = measure.grade(store.corners(row));
-    measure.weight(&row).of(grade)
 }
 
 impl PolyhedronScratch {
@@ -297,7 +282,7 @@ impl PolyhedronScratch {
                 }
                 let is_known = self.filling.ids.contains(&store.apex(other));
                 // Equal grades count as better: both tets beside an edge often have the same.
-                if !is_known || graded(store, measure, other.tet()) < self.filling.least {
+                if !is_known || grade_of(store, measure, store.vertices(other.tet())) < self.filling.least {
                     continue;
                 }
                 self.cavity.push(other.tet());
@@ -335,40 +320,39 @@ impl PolyhedronScratch {
 impl Filling {
     fn reset(&mut self, bound: f64, goal: f64) {
         self.ids.clear();
-        self.points.clear();
+        self.clearance.reset();
         self.grades.clear();
         // The tets beside an edge often have the same grade, up to rounding.
         (self.least, self.bound, self.goal) = (bound * (1.0 - 1e-6), bound, goal);
         self.steps_left = STEPS;
-        self.meetings.clear();
     }
 
     fn add_vertex(&mut self, vertex: VertexId, point: DVec3) {
         debug_assert!(self.ids.len() < MOST_VERTICES);
         self.ids.push(vertex);
-        self.points.push(point);
+        self.clearance.points.push(point);
         // A new vertex is the largest of its quadruples: the ranks of the others stay.
         self.grades.resize(rank([0, 0, 0, self.ids.len() as u8]), f64::NAN);
     }
 
     fn drop_last_vertex(&mut self) {
         self.ids.pop();
-        self.points.pop();
+        self.clearance.points.pop();
         self.grades.truncate(rank([0, 0, 0, self.ids.len() as u8]));
     }
 
     fn set_border<S: TetStore + ?Sized>(&mut self, store: &S, border: &[TetFace]) {
-        self.start.clear();
-        self.start_edges.clear();
-        for &side in border {
-            let corners = store.face_vertices(side);
-            let [a, b, c] = corners.map(|v| self.ids.iter().position(|w| *w == v).unwrap_or(0) as u8);
-            // Outward from its tet: turned, a tet inside is positive on it.
-            self.start.push(turned([a, c, b]));
-            // Each edge of a closed surface runs both ways.
-            self.start_edges.extend([[a, b], [b, c], [c, a]].into_iter().filter(|[p, q]| p < q));
-        }
-        self.clear.clear();
+        let Self { clearance, ids, .. } = self;
+        let local = |v: VertexId| ids.iter().position(|w| *w == v).unwrap_or(0) as u8;
+        // Outward from its tet: turned, a tet inside is positive on it.
+        let inward = |&side: &TetFace| {
+            let [a, b, c] = store.face_vertices(side).map(local);
+            turned([a, c, b])
+        };
+        let faces: Vec<Face> = border.iter().map(inward).collect();
+        // Each edge of a closed surface runs both ways.
+        let edges = faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).filter(|[p, q]| p < q);
+        clearance.set_start(faces.iter().copied(), edges);
         self.tets.clear();
         self.best.clear();
         self.fronts.clear();
@@ -377,16 +361,16 @@ impl Filling {
     /// The first border face that makes no tet above the bound with any vertex.
     fn face_without_apex<M: TetMeasure>(&mut self, measure: &M) -> Option<usize> {
         let has_apex = |filling: &mut Self, face: Face| {
-            let others = (0..filling.points.len() as u8).filter(|v| !face.contains(v));
+            let others = (0..filling.clearance.points.len() as u8).filter(|v| !face.contains(v));
             others.into_iter().any(|v| filling.grade(measure, face, v) > filling.bound)
         };
-        (0..self.start.len()).find(|&at| !has_apex(self, self.start[at]))
+        (0..self.clearance.start_faces().len()).find(|&at| !has_apex(self, self.clearance.start_faces()[at]))
     }
 
     /// Searches the best filling above the bound; it is in `best`, and its grade in `bound`.
     fn solve<M: TetMeasure>(&mut self, measure: &M) -> Search {
-        for at in 0..self.start.len() {
-            let face = self.start[at];
+        for at in 0..self.clearance.start_faces().len() {
+            let face = self.clearance.start_faces()[at];
             let candidates = self.candidates(measure, face);
             if candidates == 0 {
                 return Search::Blocked(at);
@@ -435,7 +419,7 @@ impl Filling {
         let face = self.fronts[at].face;
         for i in begin..end {
             let other = self.fronts[i];
-            if other.is_new && !self.is_clear_of(face, apex, other.face) {
+            if other.is_new && !self.clearance.is_clear_of(face, apex, other.face) {
                 return false;
             }
         }
@@ -461,10 +445,13 @@ impl Filling {
     }
 
     /// The vertices whose tet on the face is above the bound and clear of the border.
-    fn candidates<M: TetMeasure>(&mut self, measure: &M, face: Face) -> u32 {
+    fn candidates<M: TetMeasure>(&mut self, measure: &M, face: Face) -> u64 {
         let mut mask = 0;
-        for v in 0..self.points.len() as u8 {
-            if !face.contains(&v) && self.grade(measure, face, v) > self.bound && self.is_clear_of_start(face, v) {
+        for v in 0..self.clearance.points.len() as u8 {
+            if !face.contains(&v)
+                && self.grade(measure, face, v) > self.bound
+                && self.clearance.is_clear_of_start(face, v)
+            {
                 mask |= 1 << v;
             }
         }
@@ -484,77 +471,13 @@ impl Filling {
         }
         let rank = rank(row);
         if self.grades[rank].is_nan() {
-            let [p, q, r, s] = row.map(|i| self.points[usize::from(i)]);
+            let [p, q, r, s] = row.map(|i| self.clearance.points[usize::from(i)]);
             let is_positive = orient3d(p, q, r, s) > 0.0;
             let grade = measure.grade(if is_positive { [p, q, r, s] } else { [p, r, q, s] }).max(0.0);
             let grade = measure.weight(&row.map(|i| self.ids[usize::from(i)])).of(grade);
             self.grades[rank] = if is_positive { grade } else { -grade };
         }
         if is_odd { -self.grades[rank] } else { self.grades[rank] }
-    }
-
-    /// Whether the edges and faces that the tet on a face adds are clear of the border.
-    fn is_clear_of_start(&mut self, [a, b, c]: Face, v: u8) -> bool {
-        [a, b, c].iter().all(|&u| self.is_edge_clear(u, v))
-            && [[a, b, v], [b, c, v], [c, a, v]].into_iter().all(|triangle| self.is_face_clear(triangle))
-    }
-
-    fn is_edge_clear(&mut self, u: u8, v: u8) -> bool {
-        let Self { clear, start, points, .. } = self;
-        let key = u32::from(u.min(v)) << 5 | u32::from(u.max(v));
-        *clear.entry(key).or_insert_with(|| {
-            let at = |v: u8| points[usize::from(v)];
-            let meets =
-                |f: &Face| !f.contains(&u) && !f.contains(&v) && segment_meets_triangle(at(u), at(v), f.map(at));
-            !start.iter().any(meets)
-        })
-    }
-
-    fn is_face_clear(&mut self, mut face: Face) -> bool {
-        face.sort_unstable();
-        let Self { clear, start_edges, points, .. } = self;
-        // One more than any edge's key has.
-        let key = face.iter().fold(1_u32, |key, &v| key << 5 | u32::from(v));
-        *clear.entry(key).or_insert_with(|| {
-            let at = |v: u8| points[usize::from(v)];
-            let meets = |[p, q]: &[u8; 2]| {
-                !face.contains(p) && !face.contains(q) && segment_meets_triangle(at(*p), at(*q), face.map(at))
-            };
-            !start_edges.iter().any(meets)
-        })
-    }
-
-    /// Whether the edges and faces that the tet on a face adds keep clear of another, apart from shared vertices.
-    fn is_clear_of(&mut self, face: Face, v: u8, other: Face) -> bool {
-        if other == face {
-            return true;
-        }
-        for u in face {
-            if !other.contains(&u) && !other.contains(&v) && self.meets([u, v], other) {
-                return false;
-            }
-        }
-        let ([x, y, z], [p, q, r]) = (face, other);
-        for triangle in [[x, y, v], [y, z, v], [z, x, v]] {
-            for edge in [[p, q], [q, r], [r, p]] {
-                let is_apart = !triangle.contains(&edge[0]) && !triangle.contains(&edge[1]);
-                if is_apart && self.meets(edge, triangle) {
-                    return false;
-                }
-            }
-        }
-        true
-    }
-
-    fn meets(&mut self, mut edge: [u8; 2], mut face: Face) -> bool {
-        edge.sort_unstable();
-        face.sort_unstable();
-        let Self { meetings, points, .. } = self;
-        let key = edge.iter().chain(&face).fold(0_u32, |key, &v| key << 5 | u32::from(v));
-        *meetings.entry(key).or_insert_with(|| {
-            let at = |v: u8| points[usize::from(v)];
-            segment_meets_triangle(at(edge[0]), at(edge[1]), face.map(at))
-        })
     }
 }
 
@@ -567,61 +490,14 @@ fn rank([a, b, c, d]: [u8; 4]) -> usize {
     a + choose2 + choose3 + choose4
 }
 
-/// The same face from its smallest vertex.
-fn turned([a, b, c]: Face) -> Face {
-    if a < b && a < c {
-        [a, b, c]
-    } else if b < c {
-        [b, c, a]
-    } else {
-        [c, a, b]
-    }
-}
-
-/// The same face seen from the other side.
-fn mirrored([a, b, c]: Face) -> Face {
-    [a, c, b]
-}
-
-/// The three faces beside `face` of the tet on it, as the tets beyond them see them.
-fn other_faces([a, b, c]: Face, v: u8) -> [Face; 3] {
-    [turned([b, c, v]), turned([a, v, c]), turned([a, b, v])]
-}
-
-/// The positions of the set bits.
-fn bits(mut mask: u32) -> impl Iterator<Item = u8> {
-    std::iter::from_fn(move || {
-        let bit = mask.trailing_zeros();
-        mask &= mask.wrapping_sub(1);
-        (bit < 32).then_some(bit as u8)
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::conforming::delaunay_kernel::{DelaunayOptions, tetrahedralize};
     use crate::conforming::flip_criteria::BiasedSine;
     use crate::conforming::flips::{commit, plan_edge_removal, plan_face_removal};
-    use crate::context::RunContext;
-    use crate::index::Label;
+    use crate::conforming::test_meshes::random_mesh;
     use crate::mesh::tet_complex::TetComplex;
     use crate::mesh::topology::ShellTet;
-
-    /// The Delaunay tets of points by a linear congruential generator: many are slivers.
-    fn random_mesh(count: usize) -> TetComplex {
-        let mut state = 5u32;
-        let mut next = || {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            f64::from(state >> 8) / f64::from(1 << 24)
-        };
-        let points: Vec<DVec3> = (0..count).map(|_| DVec3::new(next(), next(), next())).collect();
-        let options = DelaunayOptions::default();
-        let mut complex = tetrahedralize(&points, &options, &RunContext::with_threads(1).unwrap()).unwrap().complex;
-        let tets: Vec<TetId> = complex.finite_tets().collect();
-        tets.into_iter().for_each(|tet| complex.set_label(tet, Label(1)));
-        complex
-    }
 
     /// Plans and, where that is accepted, sets the place of the spare vertex, the last one.
     fn plan(complex: &mut TetComplex, tet: TetId, scratch: &mut PolyhedronScratch, flips: &mut FlipScratch) -> Outcome {
@@ -636,7 +512,7 @@ mod tests {
 
     #[test]
     fn polyhedra_help_where_no_flip_does_and_keep_held_faces() {
-        let mut complex = random_mesh(400);
+        let mut complex = random_mesh(5, 400);
         complex.push_point(DVec3::ZERO).unwrap();
         let held = |complex: &TetComplex| -> Vec<_> {
             let sides = complex.finite_tets().flat_map(|tet| (0..4).map(move |face| TetFace::new(tet, face)));
@@ -708,10 +584,10 @@ mod tests {
     fn best_of_all(filling: &mut Filling, front: &[Face], low: f64) -> f64 {
         let Some((&face, rest)) = front.split_first() else { return low };
         let mut best = f64::NEG_INFINITY;
-        for v in 0..filling.points.len() as u8 {
+        for v in 0..filling.clearance.points.len() as u8 {
             let grade = if face.contains(&v) { -1.0 } else { filling.grade(&BiasedSine, face, v) };
-            let clear = grade > 0.0 && filling.is_clear_of_start(face, v);
-            if !clear || !rest.iter().all(|&other| filling.is_clear_of(face, v, other)) {
+            let clear = grade > 0.0 && filling.clearance.is_clear_of_start(face, v);
+            if !clear || !rest.iter().all(|&other| filling.clearance.is_clear_of(face, v, other)) {
                 continue;
             }
             let mut next = rest.to_vec();
@@ -728,7 +604,7 @@ mod tests {
 
     #[test]
     fn the_best_filling_of_all_is_found() {
-        let mut complex = random_mesh(60);
+        let mut complex = random_mesh(5, 60);
         complex.push_point(DVec3::ZERO).unwrap();
         let (mut scratch, mut flips) = (PolyhedronScratch::default(), FlipScratch::default());
         let tets: Vec<TetId> = complex.finite_tets().collect();
@@ -737,7 +613,7 @@ mod tests {
             if plan(&mut complex, tet, &mut scratch, &mut flips) != Outcome::Accepted || scratch.border.len() > 10 {
                 continue;
             }
-            let front = scratch.filling.start.clone();
+            let front = scratch.filling.clearance.start_faces().to_vec();
             let best = best_of_all(&mut scratch.filling, &front, f64::INFINITY);
             assert!((best - flips.plan.new_grade).abs() < 1e-12, "{best} {}", flips.plan.new_grade);
             compared += 1;

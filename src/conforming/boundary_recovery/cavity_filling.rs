@@ -23,35 +23,21 @@
 //! Exponential in the worst case, so the number of tets placed is limited by the caller. At most 64 vertices.
 
 use glam::DVec3;
-use rustc_hash::FxHashMap;
 
+use crate::conforming::front_clearance::{Clearance, Face, MOST_VERTICES, bits, mirrored, other_faces, turned};
 use crate::context::CancelToken;
-use crate::geometry::intersection::segment_meets_triangle;
 use crate::geometry::predicates::orient3d;
 use crate::index::VertexId;
-
-/// Vertices of one polyhedron: the bits of a mask.
-pub const MOST_VERTICES: usize = 64;
 
 /// Every face is tested against every other at the start: faces squared over this, in steps.
 const SETUP_SHARE: usize = 16;
 /// Faces of a front that cost one more step.
 const STEP_SHARE: usize = 8;
 
-type Face = [u8; 3];
-
 /// A polyhedron being filled.
 struct CavityFilling {
     ids: Vec<VertexId>,
-    points: Vec<DVec3>,
-    /// Whether an edge meets a face, by both packed.
-    meetings: FxHashMap<u32, bool>,
-    /// The faces at the start, and their edges.
-    start: (Vec<Face>, Vec<[u8; 2]>),
-    /// Whether an edge is clear of the faces at the start, by its two vertices.
-    clear_edges: Vec<Option<bool>>,
-    /// Whether a face is clear of the edges at the start, by its vertices packed.
-    clear_faces: FxHashMap<u32, bool>,
+    clearance: Clearance,
     steps_left: usize,
     tets: Vec<[u8; 4]>,
 }
@@ -88,6 +74,7 @@ pub fn fill_cavity(
         return None;
     }
     let points = ids.iter().map(|&v| point_of(v)).collect();
+    let mut clearance = Clearance::of(points);
     let local = |v: VertexId| ids.binary_search(&v).expect("every vertex of a face was collected") as u8;
     let mut faces: Vec<Face> = Vec::with_capacity(front.len() + 2 * sheets.len());
     for face in front {
@@ -108,16 +95,8 @@ pub fn fill_cavity(
     edges.iter_mut().for_each(|edge| edge.sort_unstable());
     edges.sort_unstable();
     edges.dedup();
-    let mut filling = CavityFilling {
-        ids: ids.clone(),
-        points,
-        meetings: FxHashMap::default(),
-        start: (faces.clone(), edges),
-        clear_edges: vec![None; ids.len() * ids.len()],
-        clear_faces: FxHashMap::default(),
-        steps_left: 0,
-        tets: Vec::new(),
-    };
+    clearance.set_start(faces.iter().copied(), edges);
+    let mut filling = CavityFilling { ids, clearance, steps_left: 0, tets: Vec::new() };
     let mut start: Vec<FrontFace> =
         faces.iter().map(|&face| FrontFace { face, candidates: 0, is_new: false }).collect();
     // Vertices on the right side of a face cost little, and a face that has few of them soon shows that there is no
@@ -144,27 +123,6 @@ pub fn fill_cavity(
     let found = filling.search(&start, cancel);
     *budget = if cancel.is_cancelled() { 0 } else { *budget - (steps - filling.steps_left) };
     found.then(|| filling.tets.iter().map(|t| t.map(|i| filling.ids[i as usize])).collect())
-}
-
-/// The same face from its smallest vertex.
-fn turned([a, b, c]: Face) -> Face {
-    if a < b && a < c {
-        [a, b, c]
-    } else if b < c {
-        [b, c, a]
-    } else {
-        [c, a, b]
-    }
-}
-
-/// The same face seen from the other side.
-fn mirrored([a, b, c]: Face) -> Face {
-    [a, c, b]
-}
-
-/// The three faces beside `face` of the tet on it, outward.
-fn other_faces([i, j, k]: Face, v: u8) -> [Face; 3] {
-    [turned([j, k, v]), turned([i, v, k]), turned([i, j, v])]
 }
 
 impl CavityFilling {
@@ -202,8 +160,8 @@ impl CavityFilling {
 
     /// Volume over the cube of the mean edge length: a measure of shape good enough for an order.
     fn shape(&self, face: Face, v: u8) -> f64 {
-        let [a, b, c] = face.map(|i| self.points[i as usize]);
-        let d = self.points[v as usize];
+        let [a, b, c] = face.map(|i| self.clearance.points[i as usize]);
+        let d = self.clearance.points[v as usize];
         let squares = [a - b, b - c, c - a, a - d, b - d, c - d].map(|e| e.length_squared());
         (b - a).cross(c - a).dot(d - a) / squares.iter().sum::<f64>().powf(1.5)
     }
@@ -225,7 +183,7 @@ impl CavityFilling {
         }
         for i in 0..next.len() {
             for v in bits(next[i].candidates) {
-                if !added.iter().all(|&g| self.is_clear_of(next[i].face, v, g)) {
+                if !added.iter().all(|&g| self.clearance.is_clear_of(next[i].face, v, g)) {
                     next[i].candidates &= !(1 << v);
                 }
             }
@@ -246,101 +204,23 @@ impl CavityFilling {
 
     /// The vertices with which the face makes a positive tet.
     fn vertices_before(&self, face: Face) -> u64 {
-        let [a, b, c] = face.map(|i| self.points[i as usize]);
-        let is_before = |v: usize| !face.contains(&(v as u8)) && orient3d(a, b, c, self.points[v]) > 0.0;
-        (0..self.points.len()).fold(0, |mask, v| mask | u64::from(is_before(v)) << v)
+        let [a, b, c] = face.map(|i| self.clearance.points[i as usize]);
+        let is_before = |v: usize| !face.contains(&(v as u8)) && orient3d(a, b, c, self.clearance.points[v]) > 0.0;
+        (0..self.clearance.points.len()).fold(0, |mask, v| mask | u64::from(is_before(v)) << v)
     }
 
     /// Those of `vertices` whose tet on the face keeps clear of the front.
     fn clear_candidates(&mut self, face: Face, vertices: u64, front: &[FrontFace]) -> u64 {
         let mut mask = 0;
         for v in bits(vertices) {
-            if self.is_clear_of_start(face, v)
-                && front.iter().filter(|g| g.is_new).all(|g| self.is_clear_of(face, v, g.face))
+            if self.clearance.is_clear_of_start(face, v)
+                && front.iter().filter(|g| g.is_new).all(|g| self.clearance.is_clear_of(face, v, g.face))
             {
                 mask |= 1 << v;
             }
         }
         mask
     }
-
-    /// Whether the new edges and faces of the tet on `face` keep clear of all faces at the start.
-    fn is_clear_of_start(&mut self, [x, y, z]: Face, v: u8) -> bool {
-        [x, y, z].iter().all(|&u| self.is_edge_clear(u, v))
-            && [[x, y, v], [y, z, v], [z, x, v]].into_iter().all(|triangle| self.is_face_clear(triangle))
-    }
-
-    fn is_edge_clear(&mut self, u: u8, v: u8) -> bool {
-        let slot = usize::from(u.min(v)) * self.ids.len() + usize::from(u.max(v));
-        if let Some(clear) = self.clear_edges[slot] {
-            return clear;
-        }
-        let at = |v: u8| self.points[usize::from(v)];
-        let (p, q) = (at(u), at(v));
-        let meets = |f: &Face| !f.contains(&u) && !f.contains(&v) && segment_meets_triangle(p, q, f.map(at));
-        let clear = !self.start.0.iter().any(meets);
-        self.clear_edges[slot] = Some(clear);
-        clear
-    }
-
-    fn is_face_clear(&mut self, mut face: Face) -> bool {
-        face.sort_unstable();
-        let key = face.iter().fold(0_u32, |key, &v| key << 6 | u32::from(v));
-        if let Some(&clear) = self.clear_faces.get(&key) {
-            return clear;
-        }
-        let at = |v: u8| self.points[usize::from(v)];
-        let corners = face.map(at);
-        let meets = |[p, q]: &[u8; 2]| {
-            !face.contains(p) && !face.contains(q) && segment_meets_triangle(at(*p), at(*q), corners)
-        };
-        let clear = !self.start.1.iter().any(meets);
-        self.clear_faces.insert(key, clear);
-        clear
-    }
-
-    /// Whether the new edges and faces of the tet on `face` keep clear of a front face, apart from shared vertices.
-    fn is_clear_of(&mut self, face: Face, v: u8, other: Face) -> bool {
-        if other == face {
-            return true;
-        }
-        for u in face {
-            if !other.contains(&u) && !other.contains(&v) && self.meets([u, v], other) {
-                return false;
-            }
-        }
-        let ([x, y, z], [p, q, r]) = (face, other);
-        for triangle in [[x, y, v], [y, z, v], [z, x, v]] {
-            for edge in [[p, q], [q, r], [r, p]] {
-                let apart = !triangle.contains(&edge[0]) && !triangle.contains(&edge[1]);
-                if apart && self.meets(edge, triangle) {
-                    return false;
-                }
-            }
-        }
-        true
-    }
-
-    fn meets(&mut self, mut edge: [u8; 2], mut face: Face) -> bool {
-        edge.sort_unstable();
-        face.sort_unstable();
-        let packed = [edge[0], edge[1], face[0], face[1], face[2]];
-        let key = packed.iter().fold(0_u32, |key, &v| key << 6 | u32::from(v));
-        let points = &self.points;
-        *self.meetings.entry(key).or_insert_with(|| {
-            let at = |v: u8| points[v as usize];
-            segment_meets_triangle(at(edge[0]), at(edge[1]), face.map(at))
-        })
-    }
-}
-
-/// The positions of the set bits.
-fn bits(mut mask: u64) -> impl Iterator<Item = u8> {
-    std::iter::from_fn(move || {
-        let bit = mask.trailing_zeros();
-        mask &= mask.wrapping_sub(1);
-        (bit < 64).then_some(bit as u8)
-    })
 }
 
 #[cfg(test)]

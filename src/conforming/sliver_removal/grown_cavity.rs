@@ -25,7 +25,7 @@ use glam::DVec3;
 
 use super::{InsertionLimits, SliverScratch, collect_border};
 use crate::conforming::flip_criteria::TetMeasure;
-use crate::conforming::flips::{FlipScratch, Outcome};
+use crate::conforming::flips::{FlipScratch, Outcome, grade_of};
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::tet_store::TetStore;
 use crate::mesh::topology::ShellTet;
@@ -152,7 +152,7 @@ fn grow_from<S: TetStore + ?Sized, M: TetMeasure>(
     scratch.refused.clear();
     let tet = scratch.cavity[0];
     let most = MAX_GROWN + scratch.cavity.len() - 1;
-    let graded = |store: &S, tet: TetId| measure.weight(&store.vertices(tet)).of(measure.grade(store.points_of(tet)));
+    let graded = |store: &S, tet: TetId| grade_of(store, measure, store.vertices(tet));
     let mut best: Option<Best> = None;
     let mut old_grade = scratch.cavity.iter().map(|&tet| graded(store, tet)).fold(f64::INFINITY, f64::min);
     let mut waited = 0;
