@@ -2,7 +2,7 @@
 //!
 //! # Method
 //! Each round:
-//! 1. Volumes: the mesh's volume per label is compared with the voxels'; the offsets of the labels' surfaces are set so that
+//! 1. Volumes: the mesh's volume per label is compared with that of the voxels; the offsets of the labels' surfaces are set so that
 //!    the difference would vanish, by a few relaxation steps over the areas between labels.
 //! 2. Surface vertices relax along their surface and onto it, one color after another
 //!    ([`surface_stars`](crate::lattice::surface_stars)); vertices of low score inside follow.
@@ -11,7 +11,7 @@
 //!
 //! Last passes take what is still low once more, and let its surface vertices off their surface by a little more each time.
 //! Edges much shorter than those around them are contracted in between and then ([`short_edges`](crate::lattice::short_edges));
-//! in one round surface edges are split that cut off what bends ([`chord_splits`](crate::lattice::chord_splits)).
+//! in two rounds surface edges are split that cut off what bends ([`chord_splits`](crate::lattice::chord_splits)).
 //! Where tets stay below the least score, smoothing is taken back ([`local_undo`](crate::lattice::local_undo)).
 //!
 //! # Source
@@ -34,7 +34,6 @@ use rustc_hash::FxHashMap;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::geometry::tetrahedron::volume6;
-use crate::image::label_image::LabelImage;
 use crate::lattice::boundary_targets::SourcePoints;
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::chord_splits::split_chords;
@@ -48,6 +47,7 @@ use crate::lattice::short_edges::contract_short_edges;
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
+use crate::lattice::voxel_cleanup::CleanImage;
 
 /// Score that relaxation may spend in each round, degrees. The first rounds bring vertices onto their surface although tets
 /// become flat: transformations take those away. A high bound from the start (19 in all rounds) left vertices off their
@@ -60,11 +60,10 @@ const ROUNDS: usize = RELAXATION_BOUNDS.len();
 /// First round that may transform.
 const FIRST_TRANSFORMING_ROUND: usize = 1;
 
-/// Round in which surface edges are split where they cut off what bends, and how far off their middles are then, in voxels of
-/// the smallest spacing. On vessels of 1.5 to 3 voxels radius in walls of 1.4 that leaves 0.096 voxel in the mean, 0.102 without;
-/// 0.35 in three rounds leaves 0.093 and takes a tenth more time on brain lobes.
-const CHORD_ROUND: usize = 3;
-const CHORD: f64 = 0.4;
+/// Rounds in which surface edges are split where they cut off what bends, and how far off their middles are then, in voxels of
+/// the smallest spacing. The second one splits the halves of thin rings again.
+const CHORD_ROUNDS: std::ops::RangeInclusive<usize> = 3..=4;
+const CHORD: f64 = 0.35;
 
 /// Round after which edges shorter than this share of those around them are contracted: carved surfaces are full of them. The
 /// volumes that it costs come back in the rounds that follow.
@@ -166,7 +165,7 @@ pub struct ImprovementSummary {
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn improve(
     mesh: &mut CandidateMesh,
-    image: &LabelImage,
+    clean: &CleanImage,
     surface: SubvoxelSurface,
     sources: &SourcePoints,
     lattice: &[DVec3],
@@ -174,8 +173,7 @@ pub fn improve(
     context: &RunContext,
 ) -> Result<ImprovementSummary> {
     let mut summary = ImprovementSummary::default();
-    let wanted_volumes = voxel_volumes(image);
-    let voxel = image.grid().spacing().min_element();
+    let voxel = clean.image.grid().spacing().min_element();
     let slack = SLACK * voxel;
     let wanted = WANTED.max(options.min_dihedral_angle);
     let mut work = ImprovementMesh::new(mesh, sources, surface);
@@ -193,7 +191,7 @@ pub fn improve(
         if may_transform {
             loosen_all(&mut work);
         }
-        if may_transform && round == CHORD_ROUND {
+        if may_transform && CHORD_ROUNDS.contains(&round) {
             work.refresh_stars();
             summary.counts.chords += split_chords(&mut work, CHORD * voxel, RELAXATION_BOUNDS[round]);
         }
@@ -202,7 +200,7 @@ pub fn improve(
             summary.counts.short_edges += contract_short_edges(&mut work, wanted, COARSENED, 1);
         }
         if round + 1 < ROUNDS {
-            update_offsets(&mut work, &wanted_volumes, image);
+            update_offsets(&mut work, &clean.volumes, LARGEST_OFFSET * voxel);
         }
     }
     advance(ROUNDS);
@@ -388,16 +386,8 @@ fn raise_low_tets(
     Ok(())
 }
 
-/// Volume of the voxels of each label, mm^3.
-fn voxel_volumes(image: &LabelImage) -> Vec<f64> {
-    let mut counts = vec![0u64; image.label_count()];
-    image.voxels().iter().for_each(|l| counts[l.index()] += 1);
-    let spacing = image.grid().spacing();
-    counts.into_iter().map(|c| c as f64 * spacing.x * spacing.y * spacing.z).collect()
-}
-
-/// Sets the offsets so that each label's volume would become the wanted one.
-fn update_offsets(mesh: &mut ImprovementMesh, wanted: &[f64], image: &LabelImage) {
+/// Sets the offsets, of `largest` at most, so that each label's volume would become the wanted one.
+fn update_offsets(mesh: &mut ImprovementMesh, wanted: &[f64], largest: f64) {
     let volumes = volumes_of(mesh, wanted.len());
     mesh.refresh_stars();
     let pairs = areas_between(mesh);
@@ -417,7 +407,6 @@ fn update_offsets(mesh: &mut ImprovementMesh, wanted: &[f64], image: &LabelImage
             }
         }
     }
-    let largest = LARGEST_OFFSET * image.grid().spacing().min_element();
     for (offset, change) in mesh.surface.offsets_mut().iter_mut().zip(change) {
         *offset = (*offset + change).clamp(-largest, largest);
     }

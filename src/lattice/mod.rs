@@ -82,7 +82,6 @@ use crate::mesh::mixed_mesh::MixedMesh;
 
 use adaptive_refinement::RefinementInput;
 use subdivision_criteria::Targets;
-use voxel_cleanup::CleanImage;
 
 pub use candidate_mesh::CandidateMesh;
 pub use options::{Options, PARAMETERS, ShapeFunctions};
@@ -131,18 +130,18 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
     check_labels(original, options)?;
     context.progress("clean-up", 0.0);
     let clean = report.timed("cleanup", || voxel_cleanup::clean(original, options, context))?;
-    let CleanImage { image, values, figures } = clean;
-    report.merge(&figures);
-    let targets = Targets::new(&values, options)?;
+    report.merge(&clean.figures);
+    let (image, values) = (clean.image.as_ref(), clean.values.as_slice());
+    let targets = Targets::new(values, options)?;
     let region_threshold = options.check_mesh_topology.then_some(options.mesh_region_threshold);
-    let input = RefinementInput { image: &image, values: &values, targets: &targets, spacing: 0.0, region_threshold };
+    let input = RefinementInput { image, values, targets: &targets, spacing: 0.0, region_threshold };
     let mut candidate = candidate_of(&input, options, &mut report, context)?;
     if !options.fixed_points.is_empty() {
         let found = fixed_points::snap(&mut candidate, &options.fixed_points, image.grid(), context);
         report.set("mesh.fixed_points", found as f64);
     }
     let mut output = Output::default();
-    let finish = |candidate: &CandidateMesh| finishing::to_world(candidate, image.grid(), &values);
+    let finish = |candidate: &CandidateMesh| finishing::to_world(candidate, image.grid(), values);
     if options.keep_bcc_mesh {
         output.meshes.push(("bcc_mesh".into(), finish(&candidate)?));
     }
@@ -150,8 +149,8 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
         output.meshes.push(("bcc_surface".into(), finishing::surface_of(&finish(&candidate)?)?));
     }
     if options.smoothing_iterations > 0 {
-        let points = smoothing::smooth(&mut candidate, &image, &values, options, &mut report, context)?;
-        smoothing_outputs(points, &image, options, &mut output);
+        let points = smoothing::smooth(&mut candidate, &clean, options, &mut report, context)?;
+        smoothing_outputs(points, image, options, &mut output);
     }
     context.progress("finishing", progress_shares::FINISHING);
     if options.mixed_elements {

@@ -22,7 +22,6 @@ use glam::DVec3;
 
 use crate::context::RunContext;
 use crate::error::{Finding, FindingCode, Result, Severity};
-use crate::image::label_image::LabelImage;
 use crate::index::VertexId;
 use crate::lattice::border_clipping::clip_at_border;
 use crate::lattice::boundary_targets::{SourcePoints, TargetPoints};
@@ -35,6 +34,7 @@ use crate::lattice::progress_shares;
 use crate::lattice::report::Report;
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
 use crate::lattice::surface_deformation::{Deformation, deform};
+use crate::lattice::voxel_cleanup::CleanImage;
 
 /// Point sets that smoothing worked with, for whoever debugs.
 #[derive(Debug, Clone, Default)]
@@ -51,12 +51,12 @@ pub struct SmoothingPoints {
 /// As [`deform`].
 pub fn smooth(
     mesh: &mut CandidateMesh,
-    image: &LabelImage,
-    values: &[i32],
+    clean: &CleanImage,
     options: &Options,
     report: &mut Report,
     context: &RunContext,
 ) -> Result<SmoothingPoints> {
+    let (image, values) = (clean.image.as_ref(), clean.values.as_slice());
     context.progress("target surface", progress_shares::REFINED);
     let surface = report.timed("target_surface", || SubvoxelSurface::new(image, context))?;
     let planes = report.timed("border", || clip_at_border(mesh, &surface))?;
@@ -99,7 +99,7 @@ pub fn smooth(
         min_dihedral_angle: options.min_dihedral_angle,
     };
     let result =
-        report.timed("improvement", || improve(mesh, image, surface, &sources, &lattice, &improvement, context))?;
+        report.timed("improvement", || improve(mesh, clean, surface, &sources, &lattice, &improvement, context))?;
     report.set("improvement.low_before", result.low_before as f64);
     report.set("improvement.low_after", result.low_after as f64);
     report.set("improvement.lowest_score", result.lowest);
@@ -122,6 +122,7 @@ pub fn smooth(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::image::label_image::LabelImage;
     use crate::index::Label;
     use crate::lattice::options::PARAMETERS;
     use crate::lattice::test_images::voxel_image as image;
@@ -212,7 +213,9 @@ mod tests {
             ..CandidateMesh::default()
         };
         let mut report = Report::default();
-        let result = smooth(&mut mesh, &image, &[0, 1], &options, &mut report, &context);
+        let clean =
+            crate::lattice::voxel_cleanup::clean(&image, &options, &RunContext::with_threads(1).unwrap()).unwrap();
+        let result = smooth(&mut mesh, &clean, &options, &mut report, &context);
         assert!(matches!(result, Err(crate::Error::Cancelled)));
     }
 }

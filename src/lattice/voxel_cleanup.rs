@@ -9,14 +9,20 @@
 
 use std::borrow::Cow;
 
+use rayon::prelude::*;
+
 use crate::context::RunContext;
 use crate::error::{Finding, FindingCode, Result, Severity};
 use crate::image::label_image::LabelImage;
 use crate::image::morphology::{IsolatedKind, relabel_isolated, remove_small_regions, separate_regions, upsample};
 use crate::image::voxel_contacts::remove_contacts;
+use crate::index::Label;
 use crate::lattice::options::{IsolatedVoxels, Options};
 use crate::lattice::report::Report;
 use crate::statistics::Statistics;
+
+/// Voxels counted by one task.
+const COUNTED_CHUNK: usize = 1 << 18;
 
 /// The segmentation that is meshed.
 pub struct CleanImage<'a> {
@@ -24,6 +30,10 @@ pub struct CleanImage<'a> {
     pub image: Cow<'a, LabelImage>,
     /// The caller's value of each internal label.
     pub values: Vec<i32>,
+    /// Volume that the mesh of each internal label is to have, mm^3: of its voxels, without what the removal of contacts
+    /// gave or took. On walls of 1.4 voxels around vessels that is 6.5 % of the vessels, and contacts end at corners of voxels,
+    /// which surfaces of that volume round off.
+    pub volumes: Vec<f64>,
     /// What was changed.
     pub figures: Statistics,
 }
@@ -54,6 +64,7 @@ pub fn clean<'a>(image: &'a LabelImage, options: &Options, context: &RunContext)
         tell(&changed, image, "voxels of small regions", "cleanup.small_regions", &mut report, context);
     }
     context.check()?;
+    let before = voxel_counts(&clean);
     if options.check_image_topology {
         let changed = remove_contacts(clean.to_mut(), options.seed);
         report.set("cleanup.contacts", changed as f64);
@@ -64,13 +75,35 @@ pub fn clean<'a>(image: &'a LabelImage, options: &Options, context: &RunContext)
         }
     }
     let values = clean.values().to_vec();
+    let voxel = clean.grid().spacing().element_product();
     if !options.separate_regions {
-        return Ok(CleanImage { image: clean, values, figures: report.statistics() });
+        let volumes = before.into_iter().map(|count| count as f64 * voxel).collect();
+        return Ok(CleanImage { image: clean, values, volumes, figures: report.statistics() });
     }
+    // Contacts of a label are removed all over it: each of its regions gets the same share back.
+    let share = |(before, after): (u64, u64)| before as f64 / after.max(1) as f64;
+    let shares: Vec<f64> = before.into_iter().zip(voxel_counts(&clean)).map(share).collect();
     let (regions, originals) = separate_regions(&clean)?;
     report.set("cleanup.regions", (originals.len() - 1) as f64);
     let values = originals.iter().map(|l| values[l.index()]).collect();
-    Ok(CleanImage { image: Cow::Owned(regions), values, figures: report.statistics() })
+    let volume = |(count, label): (u64, &Label)| count as f64 * shares[label.index()] * voxel;
+    let volumes = voxel_counts(&regions).into_iter().zip(&originals).map(volume).collect();
+    Ok(CleanImage { image: Cow::Owned(regions), values, volumes, figures: report.statistics() })
+}
+
+/// Voxels of each label.
+fn voxel_counts(image: &LabelImage) -> Vec<u64> {
+    let of_chunk = |voxels: &[Label]| {
+        let mut counts = vec![0u64; image.label_count()];
+        voxels.iter().for_each(|l| counts[l.index()] += 1);
+        counts
+    };
+    let sum = |mut l: Vec<u64>, r: Vec<u64>| {
+        l.iter_mut().zip(r).for_each(|(sum, part)| *sum += part);
+        l
+    };
+    let chunks = image.voxels().par_chunks(COUNTED_CHUNK).map(of_chunk);
+    chunks.reduce(|| vec![0; image.label_count()], sum)
 }
 
 fn tell(changed: &[u64], image: &LabelImage, what: &str, name: &str, report: &mut Report, context: &RunContext) {
