@@ -122,7 +122,7 @@ impl CavityScratch {
         Outcome::WouldInvert
     }
 
-    /// Whether no vertex of the cavity is closer to `point` than `factor` times the larger of the two sizes. The cavity of
+    /// Whether no vertex of the cavity is closer to `point` than `factor` times the average of the two sizes. The cavity of
     /// a Delaunay neighbourhood has the nearest vertex.
     pub fn is_clear<S: TetStore + ?Sized>(
         &self,
@@ -133,7 +133,7 @@ impl CavityScratch {
         factor: f64,
     ) -> bool {
         self.vertices.iter().all(|&vertex| {
-            let limit = factor * size.max(sizes[vertex.index()]);
+            let limit = 0.5 * factor * (size + sizes[vertex.index()]);
             store.point(vertex).distance_squared(point) >= limit * limit
         })
     }

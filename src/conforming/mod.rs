@@ -16,6 +16,7 @@
 
 pub mod assembly;
 pub mod boundary_recovery;
+mod boundary_sizes;
 pub mod boundary_slivers;
 mod cavity;
 pub mod cavity_insertion;

@@ -3,8 +3,8 @@
 //! # Method
 //! A candidate is rejected when it lies
 //! 1. outside the boundary or on it: the walk to it meets a constrained face;
-//! 2. closer to a boundary face of the tets around than `cdfn` times the larger of its size and the face's average size;
-//! 3. closer to a vertex of the tets around than `cdfn` times the larger of the two sizes;
+//! 2. closer to a boundary face of the tets around than `cdfn` times the average of its size and the face's;
+//! 3. closer to a vertex of the tets around than `cdfn` times the average of the two sizes;
 //! 4. closer than that to another accepted candidate: those before it in the order are vertices by then, so rule 3,
 //!    applied again at the moment of insertion, decides.
 //!
@@ -15,6 +15,9 @@
 //! [Drakopoulos2017] 4.7.1 (point creation), B.3 `cdfn`.
 //!
 //! # Differences
+//! The average of the two sizes, as B.3 words `cdfn`, not the larger: where fine and coarse parts of the boundary meet, no
+//! point ahead of the fine one would be as far from the coarse one's vertices as these ask for.
+//!
 //! The distance from boundary vertices and faces follows the distribution function only where triangles are well shaped:
 //! the average edge of a needle is half its length, and keeping that far from its sides would leave parts with needles
 //! on them (extrusions, gears) without a point ([`clearances`]).
@@ -215,7 +218,7 @@ pub fn is_clear<S: TetStore + ?Sized>(
     let row = store.vertices(tet);
     let far_from = |vertex: VertexId| {
         vertex.is_ghost() || {
-            let limit = near_factor * size.max(sizes[vertex.index()]);
+            let limit = 0.5 * near_factor * (size + sizes[vertex.index()]);
             store.point(vertex).distance_squared(point) >= limit * limit
         }
     };
@@ -250,7 +253,7 @@ fn is_clear_of_boundary<S: TetStore + ?Sized>(
         let vertices = store.face_vertices(side);
         let corners = store.triangle(vertices);
         let average = vertices.iter().map(|v| sizes[v.index()]).sum::<f64>() / 3.0;
-        let limit = near_factor * size.max(average.min(needle_width(corners)));
+        let limit = 0.5 * near_factor * (size + average.min(needle_width(corners)));
         squared_distance_to_triangle(point, corners) >= limit * limit
     })
 }
@@ -271,6 +274,8 @@ fn width_of(a: DVec3, b: DVec3, c: DVec3) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::index::Label;
+    use crate::mesh::tet_complex::TetComplex;
 
     #[test]
     fn clearances_follow_the_size_except_at_needles() {
@@ -295,6 +300,20 @@ mod tests {
         // Points keep half the size away from the ends of much narrower ones.
         let found = clearances(&points, &triangles, &vec![9.0; points.len() + 1], 1.2);
         assert!(found[6] == 4.5 && found[7] == 4.5 && found[0] == 9.0);
+    }
+
+    #[test]
+    fn a_small_point_may_stand_nearer_to_a_vertex_with_a_large_size() {
+        let points = vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
+        let mut complex = TetComplex::with_points(points).unwrap();
+        complex.create_tet([0, 1, 2, 3].map(VertexId), Label(1)).unwrap();
+        complex.pair_faces().unwrap();
+        let tet = complex.finite_tets().next().unwrap();
+        // 0.25 from the faces, 0.43 from the first vertex. With a factor of 0.5 the average of 1.6 and 0.1 asks for 0.425,
+        // the larger would for 0.8; faces are a third of that.
+        let point = DVec3::splat(0.25);
+        let clear = |size: f64| is_clear(&complex, &[1.6, 0.1, 0.1, 0.1], tet, point, size, 0.5);
+        assert!(clear(0.1) && !clear(0.2));
     }
 
     #[test]

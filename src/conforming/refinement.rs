@@ -1,7 +1,8 @@
 //! Refinement: advancing-front points, direct insertion and local reconnection in rounds, until no point is accepted.
 //!
 //! # Method
-//! 1. Sizes of the boundary vertices from the boundary edges; every tet is active.
+//! 1. Sizes of the boundary vertices from the boundary edges; every tet is active. New points interpolate between the
+//!    vertices around; the field of the boundary's own mesh bounds that (`boundary_sizes`).
 //! 2. While points are accepted, ahead of the front or, where it rests, at the centres of tets far too large: deactivate satisfied tets (`front`), create candidates (`point_placement`), reject
 //!    (`point_filter`), insert with in-sphere reconnection (`vertex_insertion`), then reconnect what changed by the
 //!    second objective (`local_reconnection`).
@@ -28,6 +29,7 @@ use std::time::Instant;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::boundary_sizes::BoundarySizes;
 use super::front::{RESTING, SATISFIED, Satisfaction, corner_sizes, deactivate, rest, settled_of, wake};
 use super::local_reconnection::{FlipCounts, FourFour, Objective};
 use super::options::Options;
@@ -138,6 +140,7 @@ pub fn refine(
     let mut unused: Vec<VertexId> = Vec::new();
     let mut clearances =
         clearances(complex.points(), &boundary_triangles(complex, context), sizes, options.size_factor);
+    let mut boundary = BoundarySizes::new(complex, sizes);
     let mut total = Round::default();
     let mut rounds = 0;
     let mut places = Places::Front;
@@ -148,7 +151,7 @@ pub fn refine(
         let room = limit.saturating_sub(complex.live_count()) / TETS_PER_POINT;
         let mut round = refine_round(
             complex,
-            (sizes, &mut clearances),
+            (sizes, &mut clearances, &mut boundary),
             field,
             options,
             context,
@@ -188,6 +191,7 @@ pub fn refine(
             let renumbering = context.install(|| complex.renumber_along_curve(known))?;
             *sizes = renumbering.of_vertices(sizes);
             clearances = renumbering.of_vertices(&clearances);
+            boundary.renumber(&renumbering);
             active.iter_mut().for_each(|tet| *tet = renumbering.tet(*tet));
             let mut new_of = vec![VertexId(0); sizes.len()];
             renumbering
@@ -371,7 +375,7 @@ fn clear_marks(complex: &mut TetComplex) {
 #[allow(clippy::too_many_arguments, reason = "the state of the rounds, kept apart so that each is borrowed alone")]
 fn refine_round(
     complex: &mut TetComplex,
-    (sizes, clearances): (&mut Vec<f64>, &mut Vec<f64>),
+    (sizes, clearances, boundary): (&mut Vec<f64>, &mut Vec<f64>, &mut BoundarySizes),
     field: &SizeField,
     options: &Options,
     context: &RunContext,
@@ -398,7 +402,7 @@ fn refine_round(
         Places::Centers => centers_of_large(complex, sizes, active),
     });
     round.created = candidates.len();
-    let accepted = context.install(|| filter(complex, (sizes, clearances), field, options, &candidates))?;
+    let accepted = context.install(|| filter(complex, (sizes, clearances, boundary), field, options, &candidates))?;
     drop(candidates);
     round.filtered = accepted.len();
     rest(complex, active);
@@ -407,7 +411,7 @@ fn refine_round(
     accepted.truncate(room);
     let (accepted, ends) =
         if options.sort_new_points { sorted_along_curve(&accepted)? } else { (accepted.clone(), vec![accepted.len()]) };
-    let inserts = assign_vertices(complex, sizes, &accepted, unused)?;
+    let inserts = assign_vertices(complex, (sizes, boundary), &accepted, unused)?;
     let rule = InsertionRule {
         near_factor: options.near_point_factor,
         snap_tolerance: if options.snap_location { options.location_tolerance } else { 0.0 },
@@ -456,12 +460,21 @@ struct Accepted {
     tet: TetId,
     /// The tet whose front face it advances from.
     origin: TetId,
+    /// The tet of the boundary's mesh that contains it, `NONE` where it was not found.
+    place: TetId,
 }
+
+/// How many times the boundary's field the size of a new point is at most: as far as an edge may be longer than the sizes
+/// of its ends (`cdff`).
+const MOST_EXCESS: f64 = 1.5;
+/// The least share of the size interpolated at a new point that it gets. Ahead of a small facet among large ones the local
+/// front is much finer than the sizes of its vertices; points that follow it would crowd there, all edges too short.
+const LEAST_SHARE: f64 = 0.5;
 
 /// The first test of the candidates, in parallel: where they lie, how large they are, what is too close.
 fn filter(
     complex: &TetComplex,
-    (sizes, clearances): (&[f64], &[f64]),
+    (sizes, clearances, boundary): (&[f64], &[f64], &BoundarySizes),
     field: &SizeField,
     options: &Options,
     candidates: &[Candidate],
@@ -471,14 +484,17 @@ fn filter(
         |candidate: &Candidate| -> Option<Result<Accepted>> {
             let Walk::Inside(tet) = walk(complex, candidate.tet, candidate.point, false) else { return None };
             let interpolated = interpolated_size(complex, sizes, tet, candidate.point, options.size_minimum_weight);
-            let wanted = interpolated.min(options.growth_rate * candidate.scale);
+            let found = boundary.at(complex, tet, candidate.point, options.size_minimum_weight);
+            let (of_boundary, place) = found.unwrap_or((f64::INFINITY, TetId::NONE));
+            let local = interpolated.min(MOST_EXCESS * of_boundary);
+            let wanted = local.min(options.growth_rate * candidate.scale).max(LEAST_SHARE * local);
             let size = if is_free { Ok(wanted) } else { field.bounded_in(complex.label(tet), candidate.point, wanted) };
             let size = match size {
                 Ok(size) => size,
                 Err(error) => return Some(Err(error)),
             };
             is_clear(complex, clearances, tet, candidate.point, size, options.near_point_factor)
-                .then_some(Ok(Accepted { point: candidate.point, size, tet, origin: candidate.tet }))
+                .then_some(Ok(Accepted { point: candidate.point, size, tet, origin: candidate.tet, place }))
         };
     candidates.par_iter().with_min_len(256).filter_map(test).collect()
 }
@@ -505,12 +521,12 @@ fn sorted_along_curve(accepted: &[Accepted]) -> Result<(Vec<Accepted>, Vec<usize
 /// Gives every accepted candidate a vertex: ones left over from earlier rounds first.
 fn assign_vertices(
     complex: &mut TetComplex,
-    sizes: &mut Vec<f64>,
+    (sizes, boundary): (&mut Vec<f64>, &mut BoundarySizes),
     accepted: &[Accepted],
     unused: &mut Vec<VertexId>,
 ) -> Result<Vec<Insert>> {
     let mut inserts = Vec::with_capacity(accepted.len());
-    for Accepted { point, size, tet, .. } in accepted {
+    for Accepted { point, size, tet, place, .. } in accepted {
         let near = nearest_corner(complex, *tet, *point);
         let vertex = match unused.pop() {
             Some(vertex) => {
@@ -523,6 +539,7 @@ fn assign_vertices(
                 complex.push_point(*point)?
             }
         };
+        boundary.set_place(vertex, *place);
         inserts.push(Insert { vertex, start: *tet, near });
     }
     Ok(inserts)
