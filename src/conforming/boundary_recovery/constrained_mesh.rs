@@ -378,6 +378,16 @@ impl ConstrainedMesh {
         self.trial = Some(Vec::new());
     }
 
+    /// The segments that the trial under way took from the mesh, ascending.
+    pub fn segments_lost_in_trial(&mut self) -> Vec<EdgeKey> {
+        let rows = self.trial.iter().flatten().flat_map(|(rows, _)| rows);
+        let mut edges: Vec<EdgeKey> = rows.flat_map(|v| TET_EDGES.map(|[i, j]| edge_key(v[i], v[j]))).collect();
+        edges.sort_unstable();
+        edges.dedup();
+        edges.retain(|edge| self.wings.contains_key(edge) && !self.has_edge(edge[0], edge[1]));
+        edges
+    }
+
     /// Ends the trial under way. Points added since are left to the caller.
     ///
     /// # Errors

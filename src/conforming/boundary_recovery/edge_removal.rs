@@ -344,6 +344,8 @@ pub struct Reach {
     pub ring: usize,
     /// Added to where searches for an edge to the ring start, which changes with the mesh.
     pub turn: usize,
+    /// Whether segments may be removed.
+    pub yields: bool,
     /// A segment that new faces keep clear of.
     pub aim: Option<[VertexId; 2]>,
 }
@@ -363,7 +365,7 @@ pub fn remove_edge(
     journal: &mut Journal,
 ) -> Result<bool> {
     let mut removal = Removal { reach, tries, journal, open: Vec::new(), rings: Vec::new(), left: Vec::new() };
-    if mesh.is_segment(edge[0], edge[1]) {
+    if !reach.yields && mesh.is_segment(edge[0], edge[1]) {
         return Ok(false);
     }
     match shell_start(mesh, edge, &[hint]) {
@@ -543,7 +545,7 @@ impl Removal<'_> {
             if *self.tries == 0 {
                 break;
             }
-            if mesh.is_segment(end, p) {
+            if !self.reach.yields && mesh.is_segment(end, p) {
                 continue;
             }
             *self.tries -= 1;

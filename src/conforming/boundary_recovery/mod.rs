@@ -3,9 +3,9 @@
 //! # Method
 //! 1. Missing edges are recovered by flips, in passes of growing depth, from both ends and then all along; no face is
 //!    kept yet.
-//! 2. Edges that constraints lock get a point between these (`volume_points`), then points beside them
-//!    (`edge_bridging`); where that fails they are split, at last in sight of their ends (`sight_insertion`), with the
-//!    faces between them kept.
+//! 2. For edges that constraints lock, segments make room that are recovered anew (`edge_rerouting`); those that are left
+//!    get a point between the constraints (`volume_points`), then, with the faces that are there kept, points beside them
+//!    (`edge_bridging`); where that fails they are split, at last in sight of their ends (`sight_insertion`).
 //! 3. Missing faces are recovered by local reconnections; those that resist are split (`steiner_points`).
 //! 4. The Steiner points are taken off the surface again (`partition_elimination`), into the volume where need be. Where
 //!    one resists, its split is taken back as a constraint, the point becomes one of the volume, and 1 to 4 are repeated
@@ -31,6 +31,7 @@ pub mod crossings;
 pub mod edge_bridging;
 pub mod edge_recovery;
 pub mod edge_removal;
+pub mod edge_rerouting;
 pub mod face_recovery;
 pub mod partition_elimination;
 pub mod sight_insertion;
@@ -73,11 +74,13 @@ pub struct Effort {
     pub turn: usize,
     /// Whether everything that a missing edge crosses is tried, not only what lies next to its ends.
     pub everywhere: bool,
+    /// Whether segments that the mesh has may be removed.
+    pub yields: bool,
 }
 
 impl Effort {
     fn reach(&self, aim: Option<EdgeKey>) -> edge_removal::Reach {
-        edge_removal::Reach { depth: self.depth, ring: self.ring, turn: self.turn, aim }
+        edge_removal::Reach { depth: self.depth, ring: self.ring, turn: self.turn, yields: self.yields, aim }
     }
 }
 
@@ -85,31 +88,23 @@ impl Effort {
 fn efforts(options: &Options) -> [Effort; 4] {
     // Rings of vertices on needles are large: twice what the option says is still cheap.
     let (depth, ring) = (options.recursion_depth, 2 * options.edge_removal_limit);
+    let first = Effort {
+        depth: 0,
+        ring,
+        tries: 0,
+        tets: 12,
+        steps: 60,
+        budget: 500,
+        grow: false,
+        turn: 0,
+        everywhere: true,
+        yields: false,
+    };
     [
-        Effort { depth: 0, ring, tries: 0, tets: 12, steps: 60, budget: 500, grow: false, turn: 0, everywhere: true },
-        Effort { depth: 1, ring, tries: 50, tets: 12, steps: 60, budget: 500, grow: false, turn: 0, everywhere: true },
-        Effort {
-            depth: depth.min(3),
-            ring,
-            tries: 150,
-            tets: 12,
-            steps: 150,
-            budget: 900,
-            grow: false,
-            turn: 0,
-            everywhere: true,
-        },
-        Effort {
-            depth,
-            ring,
-            tries: 300,
-            tets: 30,
-            steps: 2000,
-            budget: 12_000,
-            grow: true,
-            turn: 0,
-            everywhere: true,
-        },
+        first,
+        Effort { depth: 1, tries: 50, ..first },
+        Effort { depth: depth.min(3), tries: 150, steps: 150, budget: 900, ..first },
+        Effort { depth, tries: 300, tets: 30, steps: 2000, budget: 12_000, grow: true, ..first },
     ]
 }
 
@@ -125,7 +120,7 @@ fn edge_efforts(options: &Options) -> Vec<Effort> {
         (depth, step) = (depth + step, depth);
     }
     passes.push(Effort { depth: deepest, ..flips });
-    passes.push(Effort { depth: TRIES, everywhere: true, ..flips });
+    passes.push(Effort { depth: TRIES, tries: LAST_TRIES, everywhere: true, ..flips });
     let turns = (1..=MOST_TURNS).flat_map(|turn| passes.iter().map(move |effort| Effort { turn, ..*effort }));
     let turned: Vec<Effort> = turns.collect();
     passes.extend(turned);
@@ -134,6 +129,10 @@ fn edge_efforts(options: &Options) -> Vec<Effort> {
 
 /// Edges looked at for one missing edge in a pass: 100 leave a fifth more edges missing, 1000 recover hardly more.
 const TRIES: usize = 200;
+
+/// Edges looked at in the last pass of a turn: where many edges wait for each other, as on twisted gears, chains of them are
+/// long. 500 leave a twentieth more points, 1000 hardly fewer.
+const LAST_TRIES: usize = 600;
 
 /// Edges or faces that get the largest effort before they are split.
 const MOST_HARD: usize = 4;
@@ -145,11 +144,9 @@ const MOST_TURNS: usize = 8;
 /// Passes in a row without an edge recovered, after which deeper ones are not tried.
 const MOST_FRUITLESS: usize = 2;
 
-/// Rounds of splits before the faces whose edges are there are recovered and kept.
-const ROUNDS_WITHOUT_FACES: usize = 1;
-
-/// Rounds of splits before the next ones go where they see the ends of their edge.
-const ROUNDS_OUT_OF_SIGHT: usize = 2;
+/// Rounds of splits before the next ones go where they see the ends of their edge: that lifts many edges, and only flat tets
+/// ask for it.
+const ROUNDS_OUT_OF_SIGHT: usize = 4;
 
 /// Times that the number of missing edges may grow by splits.
 const MOST_GROWTH: usize = 8;
@@ -306,8 +303,9 @@ fn recover_all_edges(
             missing = edge_recovery::recover_edges(mesh, missing, effort, context)?;
             fruitless = if missing.len() < before { 0 } else { fruitless + 1 };
         }
+        missing = edge_rerouting::reroute_edges(mesh, missing, &edge_efforts[0], context)?;
         missing = volume_points::unlock_edges(mesh, missing, &efforts[2], context)?;
-        if round >= ROUNDS_WITHOUT_FACES && !missing.is_empty() {
+        if !missing.is_empty() {
             recover_present_faces(mesh, efforts, context)?;
             missing = edge_recovery::recover_edges(mesh, missing, &efforts[2], context)?;
         }

@@ -17,7 +17,7 @@
 //! between s and the edge: the sector is flat there, and no number lies between its faces. Tets beyond join such a
 //! sector until a place above the whole faces sees all of the border (`grown_sector`), close above where edges of the link
 //! cross the facets, and in front of the walls that hid other places (`place_among_walls`). What still stands in the way
-//! are edges and points of the volume in the plane of the facets: these are bent off it (`undo_after_lifting`).
+//! are points of the volume in the plane of the facets: these are moved off it (`undo_after_centering`).
 //!
 //! # Source
 //! [Drakopoulos2017] 4.6.2, [GeorgeBorouchaki2003]; filling a sector without a point first: ours.
@@ -33,7 +33,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::Effort;
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, FaceKey, Split, edge_key, edges_of_face, face_key};
-use super::edge_removal::{Journal, remove_edge, ring_of};
+use super::edge_removal::{Journal, remove_edge};
 use super::steiner_removal::{center, thin_ball};
 use super::volume_points::closest_points;
 use crate::context::RunContext;
@@ -65,14 +65,6 @@ const MOST_CROSSING: usize = 4;
 /// Constraints that a place above a flat sector is moved in front of.
 const MOST_WALLS: usize = 12;
 
-/// Edges bent off the plane of one split.
-const MOST_LIFTED: usize = 20;
-/// Share of an edge by which it is bent off the plane at least: far above rounding.
-const LEAST_LIFT: f64 = 1e-9;
-
-/// Share of an edge at its ends where it is not split.
-const FOOT_SHARE: f64 = 1e-3;
-
 /// Places tried on a split segment.
 const SLIDE_PLACES: usize = 50;
 
@@ -103,7 +95,7 @@ pub fn eliminate_partitions(
             slide(mesh, steiner, &split);
             let undone = undo(mesh, steiner, &split, volume)?
                 || undo_after_loosening(mesh, steiner, &split, effort, volume)?
-                || (effort.grow && undo_after_lifting(mesh, steiner, &split, volume)?);
+                || (effort.grow && undo_after_centering(mesh, steiner, &split, volume)?);
             if !undone {
                 kept.push((steiner, split));
             }
@@ -149,45 +141,21 @@ fn undo_after_loosening(
     Ok(false)
 }
 
-/// Gets a facet's plane clear of what lies in it by rounding, until the split can be undone: points of the volume move to
-/// the depth of their balls, and edges of the link of a flat sector are split and bent off the plane. The new point sees
-/// the ring of such an edge strictly from where it starts, so that there is always a place off the edge.
-fn undo_after_lifting(
+/// Moves points of the volume that lie in a facet's plane by rounding to the depth of their balls, and undoes the split
+/// then if that is possible.
+fn undo_after_centering(
     mesh: &mut ConstrainedMesh,
     steiner: VertexId,
     split: &Split,
     volume: &mut Vec<VertexId>,
 ) -> Result<bool> {
     let whole = whole_faces(steiner, split);
-    for _ in 0..MOST_LIFTED {
-        let ball = mesh.ball(steiner);
-        let Some(sectors) = sectors_of(mesh, steiner, &ball, &whole) else { return Ok(false) };
-        for vertex in sectors.iter().flat_map(|sector| sector.front.iter().flatten().copied()) {
-            if volume.contains(&vertex) {
-                center(mesh, vertex);
-            }
+    let ball = mesh.ball(steiner);
+    let Some(sectors) = sectors_of(mesh, steiner, &ball, &whole) else { return Ok(false) };
+    for vertex in sectors.iter().flat_map(|sector| sector.front.iter().flatten().copied()) {
+        if volume.contains(&vertex) {
+            center(mesh, vertex);
         }
-        if undo(mesh, steiner, split, volume)? {
-            return Ok(true);
-        }
-        let place = mesh.at(steiner);
-        let mut lifted = None;
-        for sector in &sectors {
-            let faces: Vec<[DVec3; 3]> = sector.front.iter().map(|f| f.map(|v| mesh.at(v))).collect();
-            if kernel_point(&faces, place, sector.inward).is_some() {
-                continue;
-            }
-            for edge in crossing_edges(mesh, place, sector) {
-                let direction = sector.inward.normalize_or_zero();
-                lifted = lift_edge(mesh, edge, (place, direction), &mut Vec::new())?;
-                if lifted.is_some() {
-                    break;
-                }
-            }
-            break;
-        }
-        let Some(lifted) = lifted else { return Ok(false) };
-        volume.push(lifted);
     }
     undo(mesh, steiner, split, volume)
 }
@@ -217,61 +185,6 @@ fn crossing_edges(mesh: &ConstrainedMesh, place: DVec3, sector: &Sector) -> Vec<
     let mut edges: Vec<(f64, EdgeKey)> = free.map(|edge| (distance(&edge), edge)).collect();
     edges.sort_by(|l, r| l.0.total_cmp(&r.0).then(l.1.cmp(&r.1)));
     edges.into_iter().map(|(_, edge)| edge).collect()
-}
-
-/// Splits an edge and moves the new vertex off it, where its ring has most room. Flat tets of the ring leave none: then the
-/// edges opposite in these, which lie above it, are lifted instead; the topmost has room.
-pub fn lift_edge(
-    mesh: &mut ConstrainedMesh,
-    edge: EdgeKey,
-    (near, direction): (DVec3, DVec3),
-    open: &mut Vec<EdgeKey>,
-) -> Result<Option<VertexId>> {
-    open.push(edge);
-    let Some(ring) = ring_of(mesh, edge, TetId::NONE, MOST_GROWN) else { return Ok(None) };
-    let ring = ring.tets();
-    let front = mesh.shape_of(ring).front;
-    let faces: Vec<[DVec3; 3]> = front.iter().map(|f| f.map(|v| mesh.at(v))).collect();
-    let ends = edge.map(|v| mesh.at(v));
-    let start = foot_on_edge(ends, (near, direction));
-    let least = LEAST_LIFT * ends[0].distance(ends[1]);
-    let place = kernel_point(&faces, start, direction).filter(|x| (*x - start).dot(direction) > least);
-    let Some(place) = place else {
-        let is_near = |x: DVec3| (x - start).dot(direction).abs() <= least;
-        for &tet in ring {
-            let row = mesh.complex.vertices(tet);
-            let others: Vec<VertexId> = row.into_iter().filter(|v| !edge.contains(v)).collect();
-            let opposite = edge_key(others[0], others[1]);
-            let is_flat = others.iter().all(|&v| is_near(mesh.at(v)));
-            if is_flat
-                && open.len() < MOST_LIFTED
-                && !open.contains(&opposite)
-                && !mesh.is_segment(opposite[0], opposite[1])
-            {
-                let lifted = lift_edge(mesh, opposite, (near, direction), open)?;
-                if lifted.is_some() {
-                    return Ok(lifted);
-                }
-            }
-        }
-        return Ok(None);
-    };
-    let count = mesh.complex.points().len();
-    let vertex = mesh.complex.push_point(place)?;
-    let new: Vec<[VertexId; 4]> = front.iter().map(|&[a, b, c]| [a, b, c, vertex]).collect();
-    if !mesh.replace(ring, &new)? {
-        mesh.complex.truncate_points(count);
-        return Ok(None);
-    }
-    Ok(Some(vertex))
-}
-
-/// The point of an edge next to a line, off the ends; `direction` is a unit vector.
-fn foot_on_edge([a, b]: [DVec3; 2], (near, direction): (DVec3, DVec3)) -> DVec3 {
-    let across = |v: DVec3| v - direction * direction.dot(v);
-    let (along, off) = (across(b - a), across(near - a));
-    let share = (along.dot(off) / along.length_squared()).clamp(FOOT_SHARE, 1.0 - FOOT_SHARE);
-    a.lerp(b, if share.is_finite() { share } else { 0.5 })
 }
 
 /// The subfaces a split made, each with the whole face it is part of and the facet.

@@ -19,7 +19,8 @@
 use glam::DVec3;
 
 use super::constrained_mesh::{ConstrainedMesh, EdgeKey, edge_key};
-use super::partition_elimination::lift_edge;
+use super::edge_removal::ring_of;
+use super::partition_elimination::kernel_point;
 use super::steiner_points::{Place, crossed_places, insert_with, locate};
 use crate::error::Result;
 use crate::geometry::intersection::segment_meets_triangle;
@@ -29,6 +30,14 @@ use crate::mesh::tet_store::TetStore;
 
 /// Edges lifted for one point.
 const MOST_LIFTED: usize = 30;
+/// Edges above one another, of which the topmost is lifted.
+const MOST_ABOVE: usize = 20;
+/// Most tets around an edge that is lifted.
+const MOST_RING: usize = 60;
+/// Share of an edge by which it is lifted at least: far above rounding.
+const LEAST_LIFT: f64 = 1e-9;
+/// Share of an edge at its ends where it is not split.
+const FOOT_SHARE: f64 = 1e-3;
 
 /// Puts a point on a missing segment in sight of its ends; `None` where no point could be inserted.
 ///
@@ -126,6 +135,61 @@ fn lift_hidden(mesh: &mut ConstrainedMesh, point: DVec3, forced: &[TetId], tets:
         }
     }
     Ok(None)
+}
+
+/// Splits an edge and moves the new vertex off it, where its ring has most room. Flat tets of the ring leave none: then the
+/// edges opposite in these, which lie above it, are lifted instead; the topmost has room.
+fn lift_edge(
+    mesh: &mut ConstrainedMesh,
+    edge: EdgeKey,
+    (near, direction): (DVec3, DVec3),
+    open: &mut Vec<EdgeKey>,
+) -> Result<Option<VertexId>> {
+    open.push(edge);
+    let Some(ring) = ring_of(mesh, edge, TetId::NONE, MOST_RING) else { return Ok(None) };
+    let ring = ring.tets();
+    let front = mesh.shape_of(ring).front;
+    let faces: Vec<[DVec3; 3]> = front.iter().map(|f| f.map(|v| mesh.at(v))).collect();
+    let ends = edge.map(|v| mesh.at(v));
+    let start = foot_on_edge(ends, (near, direction));
+    let least = LEAST_LIFT * ends[0].distance(ends[1]);
+    let place = kernel_point(&faces, start, direction).filter(|x| (*x - start).dot(direction) > least);
+    let Some(place) = place else {
+        let is_near = |x: DVec3| (x - start).dot(direction).abs() <= least;
+        for &tet in ring {
+            let row = mesh.complex.vertices(tet);
+            let others: Vec<VertexId> = row.into_iter().filter(|v| !edge.contains(v)).collect();
+            let opposite = edge_key(others[0], others[1]);
+            let is_flat = others.iter().all(|&v| is_near(mesh.at(v)));
+            if is_flat
+                && open.len() < MOST_ABOVE
+                && !open.contains(&opposite)
+                && !mesh.is_segment(opposite[0], opposite[1])
+            {
+                let lifted = lift_edge(mesh, opposite, (near, direction), open)?;
+                if lifted.is_some() {
+                    return Ok(lifted);
+                }
+            }
+        }
+        return Ok(None);
+    };
+    let count = mesh.complex.points().len();
+    let vertex = mesh.complex.push_point(place)?;
+    let new: Vec<[VertexId; 4]> = front.iter().map(|&[a, b, c]| [a, b, c, vertex]).collect();
+    if !mesh.replace(ring, &new)? {
+        mesh.complex.truncate_points(count);
+        return Ok(None);
+    }
+    Ok(Some(vertex))
+}
+
+/// The point of an edge next to a line, off the ends; `direction` is a unit vector.
+fn foot_on_edge([a, b]: [DVec3; 2], (near, direction): (DVec3, DVec3)) -> DVec3 {
+    let across = |v: DVec3| v - direction * direction.dot(v);
+    let (along, off) = (across(b - a), across(near - a));
+    let share = (along.dot(off) / along.length_squared()).clamp(FOOT_SHARE, 1.0 - FOOT_SHARE);
+    a.lerp(b, if share.is_finite() { share } else { 0.5 })
 }
 
 /// The parts of facets that are to be at a segment.

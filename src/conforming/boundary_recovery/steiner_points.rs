@@ -265,6 +265,10 @@ impl CavityMarks {
         self.met[tet.index()] == 2 * self.round + 1
     }
 
+    fn put_outside(&mut self, tet: TetId) {
+        self.met[tet.index()] = 2 * self.round;
+    }
+
     /// Whether the circumsphere of the tet contains the point.
     fn conflicts(&mut self, mesh: &ConstrainedMesh, tet: TetId, point: DVec3) -> bool {
         let known = self.known(tet);
@@ -302,7 +306,10 @@ fn star_cavity(
     let mut cavity = Vec::new();
     for _ in 0..MOST_REPAIRS {
         cavity = conflict_region(mesh, point, &forced, marks);
-        let mut faults = hidden_faces(mesh, point, &cavity, marks);
+        let (mut faults, is_thinned) = thin_hidden(mesh, point, (&cavity, &forced), marks);
+        if is_thinned {
+            continue;
+        }
         if faults.is_empty() {
             let shape = mesh.shape_of(&cavity);
             if shape.segments.is_empty() {
@@ -317,7 +324,6 @@ fn star_cavity(
                 faults.extend(cavity.iter().rev().find(|tet| has(**tet, segment)).map(|&tet| (tet, None)));
             }
         }
-        // A face that the point does not see stays on the border when others go: all such tets go at once.
         let mut is_new = false;
         for (tet, _) in &faults {
             let known = marks.known(*tet);
@@ -374,27 +380,36 @@ fn conflict_region(mesh: &ConstrainedMesh, point: DVec3, forced: &[TetId], marks
     cavity
 }
 
-/// The tets with a boundary face that the point does not see from inside; each with what could join.
-fn hidden_faces(
+/// Bans the tets with a boundary face that the point does not see from inside, and those at which that opens such a face:
+/// as these stay on the border when others go, nothing but the way to the rest has to be looked at anew. Returns the tets
+/// that have to stay, each with what could join, and whether others are banned.
+fn thin_hidden(
     mesh: &ConstrainedMesh,
     point: DVec3,
-    cavity: &[TetId],
+    (cavity, forced): (&[TetId], &[TetId]),
     marks: &mut CavityMarks,
-) -> Vec<(TetId, Option<TetId>)> {
+) -> (Vec<(TetId, Option<TetId>)>, bool) {
     let mut faults = Vec::new();
-    for &tet in cavity {
-        for face in 0..4 {
-            let side = TetFace::new(tet, face);
-            let other = mesh.complex.neighbor(side);
-            if other != TetFace::NONE && marks.is_inside(other.tet()) {
-                continue;
-            }
-            if marks.hides(mesh, side, point) {
-                let open = other != TetFace::NONE && !mesh.is_subface(side) && !mesh.complex.is_ghost_tet(other.tet());
-                faults.push((tet, open.then(|| other.tet())));
-                break;
-            }
+    let mut is_thinned = false;
+    let mut stack: Vec<TetId> = cavity.iter().rev().copied().collect();
+    while let Some(tet) = stack.pop() {
+        if !marks.is_inside(tet) {
+            continue;
         }
+        let others = [0, 1, 2, 3].map(|face| mesh.complex.neighbor(TetFace::new(tet, face)));
+        let inside = others.map(|other| other != TetFace::NONE && marks.is_inside(other.tet()));
+        let hidden = (0..4).find(|&face| !inside[face] && marks.hides(mesh, TetFace::new(tet, face), point));
+        let Some(face) = hidden else { continue };
+        if forced.contains(&tet) {
+            let (side, other) = (TetFace::new(tet, face), others[face]);
+            let open = other != TetFace::NONE && !mesh.is_subface(side) && !mesh.complex.is_ghost_tet(other.tet());
+            faults.push((tet, open.then(|| other.tet())));
+            continue;
+        }
+        *marks.known(tet) |= BANNED;
+        marks.put_outside(tet);
+        is_thinned = true;
+        stack.extend((0..4).filter(|&face| inside[face]).map(|face| others[face].tet()));
     }
-    faults
+    (faults, is_thinned)
 }

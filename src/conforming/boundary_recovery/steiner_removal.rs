@@ -202,7 +202,7 @@ pub fn thin_ball(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effort) 
             let mut tries = total.min(THINNING_TRIES);
             let before = tries;
             let depth = effort.depth.min(THINNING_DEPTH);
-            let reach = Reach { depth, ring: effort.ring, turn: effort.turn, aim: None };
+            let reach = Reach { depth, ring: effort.ring, turn: effort.turn, yields: false, aim: None };
             remove_edge(mesh, ([vertex, other], tet), reach, &mut tries, &mut Journal::default())?;
             total -= before - tries;
         }
