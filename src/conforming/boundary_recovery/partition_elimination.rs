@@ -603,4 +603,50 @@ mod tests {
             assert!(place_among_walls(&mesh, &sector, (start, height), |_| Err(None)).is_none());
         }
     }
+
+    #[test]
+    fn a_split_is_undone_once_points_of_the_volume_left_the_plane() {
+        use crate::conforming::boundary_recovery::steiner_points::insert_point;
+        use crate::conforming::enclosure::enclosing_corners;
+        use crate::conforming::test_surfaces::cube;
+
+        let surface = cube(2);
+        let mut points = surface.points.clone();
+        points.extend(enclosing_corners(&surface.points));
+        let context = RunContext::with_threads(1).unwrap();
+        let options = DelaunayOptions { order: PointOrder::Input, ..Default::default() };
+        let complex = tetrahedralize(&points, &options, &context).unwrap().complex;
+        let (options, mut report) = Default::default();
+        let facets = &surface.facets;
+        let mut mesh = super::super::recover(complex, facets, &options, &context, &mut report).unwrap();
+        assert!(mesh.splits.is_empty());
+        // The diagonal of a facet of the bottom is split, with a point of the volume hardly above it.
+        let is_diagonal = |e: &EdgeKey| {
+            let [a, b] = e.map(|v| surface.points[v.index()]);
+            a.z == 0.0 && b.z == 0.0 && a.x != b.x && a.y != b.y
+        };
+        let mut edges: Vec<EdgeKey> = mesh.wings.keys().copied().filter(is_diagonal).collect();
+        edges.sort_unstable();
+        let edge = edges[0];
+        let middle = 0.5 * (mesh.at(edge[0]) + mesh.at(edge[1]));
+        let steiner = mesh.complex.push_point(middle).unwrap();
+        let mut shell = mesh.ball(edge[0]);
+        shell.retain(|&tet| mesh.complex.local_vertex(tet, edge[1]).is_some());
+        let front = mesh.shape_of(&shell).front;
+        let new: Vec<[VertexId; 4]> = front.iter().map(|&[a, b, c]| [a, b, c, steiner]).collect();
+        assert!(mesh.replace(&shell, &new).unwrap());
+        mesh.split_segment(edge, steiner);
+        let height = 1e-12;
+        let hint = mesh.complex.tet_of(steiner);
+        let above = insert_point(&mut mesh, middle + DVec3::new(0.01, 0.02, height), hint).unwrap().unwrap();
+        let (steiner, split) = mesh.splits.pop().unwrap();
+        let mut volume = vec![above];
+        assert!(undo_after_centering(&mut mesh, steiner, &split, &mut volume).unwrap());
+        assert!(mesh.has_edge(edge[0], edge[1]) && mesh.missing_segments().is_empty());
+        assert!(mesh.missing_subfaces().is_empty());
+        let is_off = |v: &VertexId| (mesh.at(*v) - middle).z.abs() > 1e3 * height;
+        assert!(volume.iter().all(is_off), "{volume:?}");
+        mesh.complex.check_invariants().unwrap();
+        assert!(mesh.complex.finite_tets().all(|tet| mesh.complex.is_positive(tet)));
+    }
 }
