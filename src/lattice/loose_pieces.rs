@@ -18,11 +18,11 @@
 //! smoothed: a loose piece of a few elements has no tissue that a finer lattice would join to it within a voxel.
 //!
 //! # Cost
-//! One sweep over the elements; the rest by the number of small pieces.
-
-use std::collections::BTreeSet;
+//! Two sweeps over the elements, one of them parallel; the rest by the number of small pieces.
 
 use glam::DVec3;
+use rayon::prelude::*;
+use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::error::Result;
 use crate::geometry::tetrahedron::volume6;
@@ -42,6 +42,9 @@ const SMALLEST_COMPONENT: usize = 8;
 /// Pieces of more than this many voxels' volume hold `SMALLEST_COMPONENT` voxel centres, and are not looked at.
 const LARGEST_VOLUME: f64 = 24.0;
 
+/// Elements per parallel work item.
+const SWEPT_CHUNK: usize = 4096;
+
 /// Where voxel centres are taken to lie, off any face of the lattice, in voxels.
 const OFF_CENTER: DVec3 = DVec3::new(1.0e-6, 1.37e-6, 1.91e-6);
 
@@ -56,26 +59,13 @@ pub fn relabel_loose_pieces(mesh: &mut CandidateMesh, neighbors: &[[u32; 4]], im
     }
     let components = Components::new(image, Connectivity::Face, Members::Foreground);
     let inside = VoxelsInside { image, components: &components };
+    let held: Vec<Vec<u32>> =
+        pieces.iter().map(|(_, piece)| piece.iter().flat_map(|t| inside.of(mesh, *t)).collect()).collect();
+    let mut left = Left::new(mesh, &inside, &pieces, &held, image.label_count());
     let mut loose: Vec<Vec<u32>> = Vec::new();
-    let mut is_gone = vec![false; mesh.tets.len()];
-    for (label, piece) in pieces {
-        let held: Vec<u32> = piece.iter().flat_map(|t| inside.of(mesh, *t)).collect();
-        let own: BTreeSet<u32> = held.iter().copied().collect();
-        let in_piece: BTreeSet<u32> = piece.iter().copied().collect();
-        let is_other =
-            |t: &u32| mesh.tet_labels[*t as usize] == label && !is_gone[*t as usize] && !in_piece.contains(t);
-        let mut others = (0..mesh.tets.len() as u32).filter(is_other).peekable();
-        // The last piece of a label stays, whatever it holds.
-        let stays = others.peek().is_none() || {
-            let mut missing = own.clone();
-            others.any(|t| {
-                inside.of(mesh, t).iter().for_each(|c| _ = missing.remove(c));
-                missing.is_empty()
-            });
-            !missing.is_empty()
-        };
-        if held.len() < SMALLEST_COMPONENT && !stays {
-            piece.iter().for_each(|t| is_gone[*t as usize] = true);
+    for ((label, piece), held) in pieces.into_iter().zip(held) {
+        if held.len() < SMALLEST_COMPONENT && left.is_enough_without(label, &piece, &held) {
+            left.take(label, &piece, &held);
             loose.push(piece);
         }
     }
@@ -100,6 +90,61 @@ fn small_pieces(mesh: &CandidateMesh, neighbors: &[[u32; 4]], image: &LabelImage
     pieces.retain(is_small);
     pieces.sort_by_key(|(_, piece)| piece.len());
     pieces
+}
+
+/// What the pieces that stay have.
+struct Left {
+    /// Elements of each label.
+    elements: Vec<usize>,
+    /// Voxel centres of each component in elements of its label, for the components that small pieces hold.
+    voxels: FxHashMap<u32, usize>,
+}
+
+impl Left {
+    /// What all pieces have; `held` are the components of the voxels in each small piece.
+    fn new(
+        mesh: &CandidateMesh,
+        inside: &VoxelsInside,
+        pieces: &[(Label, Vec<u32>)],
+        held: &[Vec<u32>],
+        labels: usize,
+    ) -> Self {
+        let mut elements = vec![0; labels];
+        mesh.tet_labels.iter().for_each(|l| elements[l.index()] += 1);
+        let sought: FxHashSet<u32> = held.iter().flatten().copied().collect();
+        let mut is_sought = vec![false; labels];
+        pieces
+            .iter()
+            .zip(held)
+            .filter(|(_, held)| !held.is_empty())
+            .for_each(|((l, _), _)| is_sought[l.index()] = true);
+        let add = |mut voxels: FxHashMap<u32, usize>, t: u32| {
+            let found = inside.of(mesh, t).into_iter().filter(|c| sought.contains(c));
+            found.for_each(|c| *voxels.entry(c).or_default() += 1);
+            voxels
+        };
+        let sum = |mut l: FxHashMap<u32, usize>, r: FxHashMap<u32, usize>| {
+            r.into_iter().for_each(|(c, count)| *l.entry(c).or_default() += count);
+            l
+        };
+        let tets = (0..mesh.tets.len() as u32).into_par_iter().with_min_len(SWEPT_CHUNK);
+        let tets = tets.filter(|t| is_sought[mesh.tet_labels[*t as usize].index()]);
+        // Whole numbers: the sums do not depend on the order.
+        Self { elements, voxels: tets.fold(FxHashMap::default, add).reduce(FxHashMap::default, sum) }
+    }
+
+    /// Whether the label keeps an element without a piece, and each component that the piece holds a voxel elsewhere.
+    fn is_enough_without(&self, label: Label, piece: &[u32], held: &[u32]) -> bool {
+        let in_piece = |component: &u32| held.iter().filter(|c| *c == component).count();
+        self.elements[label.index()] > piece.len()
+            && held.iter().all(|c| self.voxels.get(c).is_some_and(|all| *all > in_piece(c)))
+    }
+
+    /// A piece goes.
+    fn take(&mut self, label: Label, piece: &[u32], held: &[u32]) {
+        self.elements[label.index()] -= piece.len();
+        held.iter().for_each(|c| *self.voxels.entry(*c).or_insert(1) -= 1);
+    }
 }
 
 /// Which voxel centres lie in an element.

@@ -139,6 +139,17 @@ fn checkered_labels_do_not_pinch_with_both_checks() {
 }
 
 #[test]
+fn specks_of_a_voxel_refine_their_own_place_only() {
+    let speck = |n: usize| [12 + 3 * n, 14 + 7 * n % 11, 13 + 5 * n % 13].map(|i| i as f64);
+    let ball = |p: DVec3| u16::from(p.distance(DVec3::splat(19.6)) < 17.0);
+    let specks = image(40, |p| if (0..6).any(|n| p == DVec3::from_array(speck(n))) { 2 } else { ball(p) });
+    let result = mesh(&specks, &[("smoothing-iterations", "0")]);
+    assert_eq!(pieces(&result, 2), 6);
+    // Measured 10.7 thousand; 248 thousand where closure carries the refinement through the ball.
+    assert!(result.tets().unwrap().len() < 20_000, "{}", result.tets().unwrap().len());
+}
+
+#[test]
 fn a_closed_cavity_of_eight_voxels_is_kept() {
     let body = image(24, |p| {
         let cavity = p.cmpge(DVec3::splat(11.0)).all() && p.cmplt(DVec3::splat(13.0)).all();
