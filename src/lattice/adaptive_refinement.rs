@@ -4,7 +4,8 @@
 //! 1. Close the lattice with greens, label by centroid, count mismatches ([`super::voxel_fidelity`]).
 //! 2. Where labels lack fidelity or components are lost, mark leaves and refine ([`super::subdivision_criteria`]).
 //! 3. Otherwise relabel the candidate mesh ([`super::element_labels`]) and count again; refine where that costs the
-//!    fidelity. At the finest level the relabelling spares what a label needs instead.
+//!    fidelity. At the finest level the relabelling spares what a label needs instead. From the first round on that marks a
+//!    few leaves only, the lattice is closed locally.
 //! 4. Where surfaces are smoothed, leaves with voxels that smoothing cannot reach are refined ([`super::missed_voxels`]), the
 //!    lattice closed locally around them.
 //! 5. Where surfaces are smoothed or checked, pinches are relabelled ([`super::interface_topology`]) and what still pinches
@@ -50,8 +51,9 @@ const TOPOLOGY_ROUNDS: u32 = 3;
 
 /// Share of the leaves below which those that are marked must not refine the whole lattice: the closure is local then. It is a
 /// few places that lack something, components of a voxel or two most often, where boundaries are whole layers of leaves. On a
-/// cortex of 48 regions 333 leaves of 3 million made 23 million elements without it. A hundredth instead of a thousandth saves five sixths of the elements of a whole brain, but
-/// its surface is smoother and nearer with them, and mixed meshes need the uniform regions.
+/// cortex of 48 regions 333 leaves of 3 million made 23 million elements without it. A hundredth instead of a thousandth saves
+/// five sixths of the elements of a whole brain, but its surface is smoother and nearer with them, and mixed meshes need the
+/// uniform regions.
 const FEW_LEAVES: f64 = 0.001;
 
 /// Rounds of carving: a group that may not be filled at first can be once another one has joined or parted its pieces.
