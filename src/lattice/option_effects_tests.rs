@@ -39,7 +39,7 @@ const PLAIN: &[(&str, &str)] = &[("output-target-points", "t.vtk"), ("output-sou
 const CHECKED: &[(&str, &str)] = &[("check-image-topology", "1")];
 const HALF_SMOOTH: &[(&str, &str)] = &[("min-dihedral-angle", "29"), ("local-transformations", "0")];
 const COARSE: &[(&str, &str)] =
-    &[("check-image-topology", "1"), ("lattice-spacing", "5"), ("fidelity", "0.5"), ("surface-tolerance", "100")];
+    &[("check-image-topology", "1"), ("lattice-spacing", "6"), ("fidelity", "0.5"), ("surface-tolerance", "100")];
 const FINE: &[(&str, &str)] = &[("lattice-spacing", "1"), ("surface-tolerance", "100")];
 const MIXED: &[(&str, &str)] = &[("mixed-elements", "1"), ("lattice-spacing", "1"), ("surface-tolerance", "100")];
 
