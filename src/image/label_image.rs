@@ -10,12 +10,17 @@
 //! # Limits
 //! At most 65535 labels beside the background.
 
+use rayon::prelude::*;
+
 use crate::error::{Error, Result};
 use crate::image::grid::Grid;
 use crate::index::Label;
 
 /// Most labels beside the background.
 pub const MAX_LABELS: usize = u16::MAX as usize;
+
+/// Voxels counted by one task.
+const COUNTED_CHUNK: usize = 1 << 18;
 
 /// A segmented image in memory, 2 bytes per voxel.
 #[derive(Debug, Clone, PartialEq)]
@@ -61,6 +66,22 @@ impl LabelImage {
     /// Number of compact labels, the background included.
     pub fn label_count(&self) -> usize {
         self.values.len()
+    }
+
+    /// Voxels of each label.
+    pub fn voxel_counts(&self) -> Vec<u64> {
+        let of_chunk = |voxels: &[Label]| {
+            let mut counts = vec![0u64; self.label_count()];
+            voxels.iter().for_each(|l| counts[l.index()] += 1);
+            counts
+        };
+        let sum = |mut l: Vec<u64>, r: Vec<u64>| {
+            l.iter_mut().zip(r).for_each(|(sum, part)| *sum += part);
+            l
+        };
+        // Whole numbers: the sums do not depend on the order.
+        let chunks = self.voxels().par_chunks(COUNTED_CHUNK).map(of_chunk);
+        chunks.reduce(|| vec![0; self.label_count()], sum)
     }
 
     /// The caller's value of a compact label.

@@ -88,8 +88,7 @@ struct Contacts<'a> {
 
 impl<'a> Contacts<'a> {
     fn new(image: &'a mut LabelImage, seed: u64) -> Self {
-        let mut counts = vec![0u64; image.label_count()];
-        image.voxels().iter().for_each(|l| counts[l.index()] += 1);
+        let counts = image.voxel_counts();
         let mut order: Vec<usize> = (1..counts.len()).collect();
         order.sort_by_key(|l| (std::cmp::Reverse(counts[*l]), *l));
         let mut priority = vec![0; counts.len()];

@@ -9,8 +9,6 @@
 
 use std::borrow::Cow;
 
-use rayon::prelude::*;
-
 use crate::context::RunContext;
 use crate::error::{Finding, FindingCode, Result, Severity};
 use crate::image::label_image::LabelImage;
@@ -20,9 +18,6 @@ use crate::index::Label;
 use crate::lattice::options::{IsolatedVoxels, Options};
 use crate::lattice::report::Report;
 use crate::statistics::Statistics;
-
-/// Voxels counted by one task.
-const COUNTED_CHUNK: usize = 1 << 18;
 
 /// The segmentation that is meshed.
 pub struct CleanImage<'a> {
@@ -64,7 +59,7 @@ pub fn clean<'a>(image: &'a LabelImage, options: &Options, context: &RunContext)
         tell(&changed, image, "voxels of small regions", "cleanup.small_regions", &mut report, context);
     }
     context.check()?;
-    let before = voxel_counts(&clean);
+    let before = clean.voxel_counts();
     if options.check_image_topology {
         let changed = remove_contacts(clean.to_mut(), options.seed);
         report.set("cleanup.contacts", changed as f64);
@@ -82,28 +77,13 @@ pub fn clean<'a>(image: &'a LabelImage, options: &Options, context: &RunContext)
     }
     // Contacts of a label are removed all over it: each of its regions gets the same share back.
     let share = |(before, after): (u64, u64)| before as f64 / after.max(1) as f64;
-    let shares: Vec<f64> = before.into_iter().zip(voxel_counts(&clean)).map(share).collect();
+    let shares: Vec<f64> = before.into_iter().zip(clean.voxel_counts()).map(share).collect();
     let (regions, originals) = separate_regions(&clean)?;
     report.set("cleanup.regions", (originals.len() - 1) as f64);
     let values = originals.iter().map(|l| values[l.index()]).collect();
     let volume = |(count, label): (u64, &Label)| count as f64 * shares[label.index()] * voxel;
-    let volumes = voxel_counts(&regions).into_iter().zip(&originals).map(volume).collect();
+    let volumes = regions.voxel_counts().into_iter().zip(&originals).map(volume).collect();
     Ok(CleanImage { image: Cow::Owned(regions), values, volumes, figures: report.statistics() })
-}
-
-/// Voxels of each label.
-fn voxel_counts(image: &LabelImage) -> Vec<u64> {
-    let of_chunk = |voxels: &[Label]| {
-        let mut counts = vec![0u64; image.label_count()];
-        voxels.iter().for_each(|l| counts[l.index()] += 1);
-        counts
-    };
-    let sum = |mut l: Vec<u64>, r: Vec<u64>| {
-        l.iter_mut().zip(r).for_each(|(sum, part)| *sum += part);
-        l
-    };
-    let chunks = image.voxels().par_chunks(COUNTED_CHUNK).map(of_chunk);
-    chunks.reduce(|| vec![0; image.label_count()], sum)
 }
 
 fn tell(changed: &[u64], image: &LabelImage, what: &str, name: &str, report: &mut Report, context: &RunContext) {
