@@ -74,11 +74,6 @@ pub struct Clearance {
 }
 
 impl Clearance {
-    /// Nothing known yet of these points.
-    pub fn of(points: Vec<DVec3>) -> Self {
-        Self { points, ..Self::default() }
-    }
-
     /// Begins with other points, none at first.
     pub fn reset(&mut self) {
         self.points.clear();

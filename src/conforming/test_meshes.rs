@@ -2,7 +2,8 @@
 
 use glam::DVec3;
 
-use crate::conforming::delaunay_kernel::{DelaunayOptions, tetrahedralize};
+use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, tetrahedralize};
+use crate::conforming::enclosure::enclosing_corners;
 use crate::context::RunContext;
 use crate::index::{Label, TetId};
 use crate::mesh::tet_complex::TetComplex;
@@ -21,4 +22,11 @@ pub fn random_mesh(seed: u32, count: usize) -> TetComplex {
     let tets: Vec<TetId> = complex.finite_tets().collect();
     tets.into_iter().for_each(|tet| complex.set_label(tet, Label(1)));
     complex
+}
+
+/// The Delaunay tets of points, which keep their order, and of the corners of a box around them: where recovery starts.
+pub fn enclosed_mesh(points: &[DVec3]) -> TetComplex {
+    let all: Vec<DVec3> = points.iter().copied().chain(enclosing_corners(points)).collect();
+    let options = DelaunayOptions { order: PointOrder::Input, ..Default::default() };
+    tetrahedralize(&all, &options, &RunContext::with_threads(1).unwrap()).unwrap().complex
 }

@@ -61,7 +61,8 @@ pub fn segment_meets_triangle(p: DVec3, q: DVec3, [a, b, c]: [DVec3; 3]) -> bool
     turns.iter().all(|&t| t >= 0.0) || turns.iter().all(|&t| t <= 0.0)
 }
 
-fn coplanar_segment_meets_triangle(p: DVec3, q: DVec3, [a, b, c]: [DVec3; 3]) -> bool {
+/// Whether the closed segment p q meets the closed triangle a b c, all in one plane.
+pub fn coplanar_segment_meets_triangle(p: DVec3, q: DVec3, [a, b, c]: [DVec3; 3]) -> bool {
     let Some(axis) = (0..3).find(|&axis| projected_turn(a, b, c, axis) != 0.0) else { return false };
     let turn = |x, y, z| projected_turn(x, y, z, axis);
     let inside = |x: DVec3| {

@@ -78,6 +78,37 @@ pub fn offset_orientation(p: DVec3, q: DVec3, r: DVec3) -> Option<f64> {
     }
 }
 
+/// The plane of three points, for the sides of many others: [`orient3d`] with what does not change kept.
+#[derive(Debug, Clone, Copy)]
+pub struct Plane {
+    points: [DVec3; 3],
+    normal: DVec3,
+    /// Largest coordinates by axis of the second and third point relative to the first.
+    largest: DVec3,
+}
+
+impl Plane {
+    /// The plane of a b c.
+    #[inline]
+    pub fn through(points: [DVec3; 3]) -> Self {
+        let [a, b, c] = points;
+        let (p, q) = (b - a, c - a);
+        Self { points, normal: p.cross(q), largest: p.abs().max(q.abs()) }
+    }
+
+    /// The sign of `orient3d(a, b, c, d)`.
+    #[inline]
+    pub fn side(&self, d: DVec3) -> f64 {
+        let [a, b, c] = self.points;
+        let offset = d - a;
+        // As in `offset_orientation`, relative to a: the same number of roundings.
+        let det = self.normal.dot(offset);
+        let largest = self.largest.max(offset.abs());
+        let bound = ORIENT_FACTOR * (largest.x * largest.y * largest.z) + UNDERFLOW_GUARD;
+        if det > bound || det < -bound { det } else { orient3d(a, b, c, d) }
+    }
+}
+
 /// `robust` follows [Shewchuk1997]: positive when d lies below the plane of a b c seen counter-clockwise.
 #[cold]
 fn orient3d_exact(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {

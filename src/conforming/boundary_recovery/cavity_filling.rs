@@ -24,9 +24,9 @@
 
 use glam::DVec3;
 
-use crate::conforming::front_clearance::{Clearance, Face, MOST_VERTICES, bits, mirrored, other_faces, turned};
+use super::obstruction::Obstruction;
+use crate::conforming::front_clearance::{Face, MOST_VERTICES, bits, mirrored, other_faces, turned};
 use crate::context::CancelToken;
-use crate::geometry::predicates::orient3d;
 use crate::index::VertexId;
 
 /// Every face is tested against every other at the start: faces squared over this, in steps.
@@ -34,15 +34,32 @@ const SETUP_SHARE: usize = 16;
 /// Faces of a front that cost one more step.
 const STEP_SHARE: usize = 8;
 
-/// A polyhedron being filled.
-struct CavityFilling {
+/// The search for a filling of one polyhedron; its buffers serve one after the other.
+#[derive(Debug, Default)]
+pub struct CavityFilling {
     ids: Vec<VertexId>,
-    clearance: Clearance,
-    steps_left: usize,
+    obstruction: Obstruction,
+    /// The faces at the start and their edges, each once.
+    start_faces: Vec<Face>,
+    start_edges: Vec<[u8; 2]>,
+    /// What is known of edges to a vertex, and of faces at the edge of two vertices: the last vertices asked for, and those
+    /// with which they meet the start.
+    met_edges: Vec<Known>,
+    met_faces: Vec<Known>,
+    /// The fronts of all steps on the way, one after the other.
+    fronts: Vec<FrontFace>,
     tets: Vec<[u8; 4]>,
+    steps_left: usize,
 }
 
-#[derive(Clone, Copy)]
+/// Answers for some vertices.
+#[derive(Debug, Clone, Copy, Default)]
+struct Known {
+    asked: u64,
+    met: u64,
+}
+
+#[derive(Debug, Clone, Copy)]
 struct FrontFace {
     /// Smallest vertex first, turned so that a positive tet lies on it.
     face: Face,
@@ -55,8 +72,8 @@ struct FrontFace {
 /// `sheets`, with at most `steps` tets placed, which `budget` pays for. `None` where there is no filling or it was not
 /// found, or `cancel` was used: nothing is left of the budget then.
 pub fn fill_cavity(
-    front: &[[VertexId; 3]],
-    sheets: &[[VertexId; 3]],
+    filling: &mut CavityFilling,
+    (front, sheets): (&[[VertexId; 3]], &[[VertexId; 3]]),
     point_of: impl Fn(VertexId) -> DVec3,
     (steps, cancel): (usize, &CancelToken),
     budget: &mut usize,
@@ -66,45 +83,19 @@ pub fn fill_cavity(
         return None;
     }
     *budget -= setup;
-    let mut ids: Vec<VertexId> = front.iter().flatten().copied().collect();
-    ids.extend(sheets.iter().flatten());
-    ids.sort_unstable();
-    ids.dedup();
-    if ids.len() > MOST_VERTICES || ids.last().is_none_or(|v| v.is_ghost()) {
+    let steps = steps.min(*budget);
+    if !filling.begin(front, sheets, point_of, steps) {
         return None;
     }
-    let points = ids.iter().map(|&v| point_of(v)).collect();
-    let mut clearance = Clearance::of(points);
-    let local = |v: VertexId| ids.binary_search(&v).expect("every vertex of a face was collected") as u8;
-    let mut faces: Vec<Face> = Vec::with_capacity(front.len() + 2 * sheets.len());
-    for face in front {
-        let face = turned(face.map(local));
-        // A face and its mirror image bound nothing: both go.
-        match faces.iter().position(|&f| f == mirrored(face)) {
-            Some(position) => drop(faces.swap_remove(position)),
-            None => faces.push(face),
-        }
-    }
-    for sheet in sheets {
-        let face = turned(sheet.map(local));
-        if !faces.contains(&face) && !faces.contains(&mirrored(face)) {
-            faces.extend([face, mirrored(face)]);
-        }
-    }
-    let mut edges: Vec<[u8; 2]> = faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect();
-    edges.iter_mut().for_each(|edge| edge.sort_unstable());
-    edges.sort_unstable();
-    edges.dedup();
-    clearance.set_start(faces.iter().copied(), edges);
-    let mut filling = CavityFilling { ids, clearance, steps_left: 0, tets: Vec::new() };
-    let mut start: Vec<FrontFace> =
-        faces.iter().map(|&face| FrontFace { face, candidates: 0, is_new: false }).collect();
-    // Vertices on the right side of a face cost little, and a face that has few of them soon shows that there is no
-    // filling: the costly tests begin with such faces.
-    let mut order: Vec<(u32, usize)> = Vec::with_capacity(start.len());
-    for (i, front_face) in start.iter_mut().enumerate() {
-        front_face.candidates = filling.vertices_before(front_face.face);
-        order.push((front_face.candidates.count_ones(), i));
+    let end = filling.start_faces.len();
+    let mut order: Vec<(u32, usize)> = Vec::with_capacity(end);
+    for i in 0..end {
+        let face = filling.start_faces[i];
+        // Vertices on the right side of a face cost little, and a face that has few of them soon shows that there is no
+        // filling: the costly tests begin with such faces.
+        let candidates = filling.obstruction.above(face);
+        order.push((candidates.count_ones(), i));
+        filling.fronts.push(FrontFace { face, candidates, is_new: false });
     }
     order.sort_unstable();
     for (_, i) in order {
@@ -112,115 +103,268 @@ pub fn fill_cavity(
             *budget = 0;
             return None;
         }
-        let FrontFace { face, candidates, .. } = start[i];
-        start[i].candidates = filling.clear_candidates(face, candidates, &start);
-        if start[i].candidates == 0 {
+        let FrontFace { face, candidates, .. } = filling.fronts[i];
+        let clear = filling.clear_of_start(face, candidates);
+        filling.fronts[i].candidates = clear;
+        if clear == 0 {
             return None;
         }
     }
-    let steps = steps.min(*budget);
     filling.steps_left = steps;
-    let found = filling.search(&start, cancel);
+    let found = filling.search(0, cancel);
     *budget = if cancel.is_cancelled() { 0 } else { *budget - (steps - filling.steps_left) };
-    found.then(|| filling.tets.iter().map(|t| t.map(|i| filling.ids[i as usize])).collect())
+    let ids = &filling.ids;
+    found.then(|| filling.tets.iter().map(|t| t.map(|i| ids[usize::from(i)])).collect())
+}
+
+/// The least that a filling costs unless the front falls into parts: each tet but the last, which takes four faces away,
+/// leaves at most two fewer.
+fn least_steps(front: usize) -> usize {
+    (0..front.saturating_sub(2) / 2).map(|placed| step_cost(front - 2 * placed)).sum()
+}
+
+/// A step costs what its front costs to look through.
+fn step_cost(front: usize) -> usize {
+    1 + front / STEP_SHARE
 }
 
 impl CavityFilling {
-    fn search(&mut self, front: &[FrontFace], cancel: &CancelToken) -> bool {
-        let Some(position) = (0..front.len()).min_by_key(|&i| front[i].candidates.count_ones()) else { return true };
-        let FrontFace { face, candidates, .. } = front[position];
-        for apex in self.ordered(face, candidates, front) {
-            if self.steps_left == 0 || cancel.is_cancelled() {
+    /// Begins with another polyhedron; false where it has too many vertices, or too many faces for so many steps.
+    fn begin(
+        &mut self,
+        front: &[[VertexId; 3]],
+        sheets: &[[VertexId; 3]],
+        point_of: impl Fn(VertexId) -> DVec3,
+        steps: usize,
+    ) -> bool {
+        let Self { ids, start_faces: faces, start_edges: edges, .. } = self;
+        ids.clear();
+        ids.extend(front.iter().chain(sheets).flatten());
+        ids.sort_unstable();
+        ids.dedup();
+        if ids.len() > MOST_VERTICES || ids.last().is_none_or(|v| v.is_ghost()) {
+            return false;
+        }
+        let local = |v: VertexId| ids.binary_search(&v).expect("every vertex of a face was collected") as u8;
+        faces.clear();
+        for face in front {
+            let face = turned(face.map(local));
+            // A face and its mirror image bound nothing: both go.
+            match faces.iter().position(|&f| f == mirrored(face)) {
+                Some(position) => drop(faces.swap_remove(position)),
+                None => faces.push(face),
+            }
+        }
+        for sheet in sheets {
+            let face = turned(sheet.map(local));
+            if !faces.contains(&face) && !faces.contains(&mirrored(face)) {
+                faces.extend([face, mirrored(face)]);
+            }
+        }
+        if least_steps(faces.len()) > steps {
+            return false;
+        }
+        edges.clear();
+        edges.extend(faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]));
+        edges.iter_mut().for_each(|edge| edge.sort_unstable());
+        edges.sort_unstable();
+        edges.dedup();
+        let n = ids.len();
+        self.obstruction.reset(ids.iter().map(|&v| point_of(v)));
+        self.met_edges.clear();
+        self.met_edges.resize(n, Known::default());
+        self.met_faces.clear();
+        self.met_faces.resize(n * n, Known::default());
+        self.fronts.clear();
+        self.tets.clear();
+        true
+    }
+
+    /// Fills what the fronts from `begin` on bound.
+    fn search(&mut self, begin: usize, cancel: &CancelToken) -> bool {
+        let end = self.fronts.len();
+        let Some(at) = (begin..end).min_by_key(|&i| self.fronts[i].candidates.count_ones()) else { return true };
+        let FrontFace { face, candidates, .. } = self.fronts[at];
+        let mut order = [(0_usize, 0.0_f64, 0_u8); MOST_VERTICES];
+        let order = self.ordered(face, candidates, begin, &mut order);
+        let least = least_steps(end - begin).max(1);
+        for &(_, _, apex) in order.iter() {
+            if self.steps_left < least || cancel.is_cancelled() {
                 return false;
             }
-            // A step costs what its front costs to look through.
-            self.steps_left = self.steps_left.saturating_sub(1 + front.len() / STEP_SHARE);
-            let Some(next) = self.place(front, position, apex) else { continue };
-            self.tets.push([face[0], face[1], face[2], apex]);
-            if self.search(&next, cancel) {
-                return true;
+            self.steps_left = self.steps_left.saturating_sub(step_cost(end - begin));
+            if self.place((begin, end), at, apex) {
+                self.tets.push([face[0], face[1], face[2], apex]);
+                if self.search(end, cancel) {
+                    return true;
+                }
+                self.tets.pop();
             }
-            self.tets.pop();
+            self.fronts.truncate(end);
         }
         false
     }
 
     /// Candidates of a face: those that close most faces first, then by shape.
-    fn ordered(&self, face: Face, candidates: u64, front: &[FrontFace]) -> Vec<u8> {
-        let mut order: Vec<(usize, f64, u8)> = bits(candidates)
-            .map(|v| {
-                let others = other_faces(face, v);
-                let closed = others.iter().filter(|&&f| front.iter().any(|g| g.face == mirrored(f))).count();
-                (3 - closed, -self.shape(face, v), v)
-            })
-            .collect();
-        order.sort_by(|l, r| l.0.cmp(&r.0).then(l.1.total_cmp(&r.1)).then(l.2.cmp(&r.2)));
-        order.into_iter().map(|(_, _, v)| v).collect()
+    fn ordered<'a>(
+        &self,
+        face: Face,
+        candidates: u64,
+        begin: usize,
+        order: &'a mut [(usize, f64, u8); MOST_VERTICES],
+    ) -> &'a [(usize, f64, u8)] {
+        let mut count = 0;
+        for v in bits(candidates) {
+            let others = other_faces(face, v);
+            let closes = |f: &&Face| self.fronts[begin..].iter().any(|g| g.face == mirrored(**f));
+            order[count] = (3 - others.iter().filter(closes).count(), -self.shape(face, v), v);
+            count += 1;
+        }
+        let order = &mut order[..count];
+        order.sort_unstable_by(|l, r| l.0.cmp(&r.0).then(l.1.total_cmp(&r.1)).then(l.2.cmp(&r.2)));
+        order
     }
 
     /// Volume over the cube of the mean edge length: a measure of shape good enough for an order.
     fn shape(&self, face: Face, v: u8) -> f64 {
-        let [a, b, c] = face.map(|i| self.clearance.points[i as usize]);
-        let d = self.clearance.points[v as usize];
+        let [a, b, c] = face.map(|i| self.obstruction.point(i));
+        let d = self.obstruction.point(v);
         let squares = [a - b, b - c, c - a, a - d, b - d, c - d].map(|e| e.length_squared());
-        (b - a).cross(c - a).dot(d - a) / squares.iter().sum::<f64>().powf(1.5)
+        let sum = squares.iter().sum::<f64>();
+        (b - a).cross(c - a).dot(d - a) / (sum * sum.sqrt())
     }
 
-    /// The front after a tet was put on face number `position`; `None` where a face is left without a candidate.
-    fn place(&mut self, front: &[FrontFace], position: usize, apex: u8) -> Option<Vec<FrontFace>> {
-        let face = front[position].face;
-        let mut next: Vec<FrontFace> = Vec::with_capacity(front.len() + 2);
-        next.extend(front.iter().enumerate().filter(|(i, _)| *i != position).map(|(_, f)| *f));
-        let mut added: Vec<Face> = Vec::with_capacity(3);
+    /// Appends the front after a tet was put on face number `at`; false where a face is left without a candidate.
+    fn place(&mut self, (begin, end): (usize, usize), at: usize, apex: u8) -> bool {
+        let face = self.fronts[at].face;
+        for i in (begin..end).filter(|&i| i != at) {
+            self.fronts.push(self.fronts[i]);
+        }
+        let mut added = [face; 3];
+        let mut count = 0;
         for other in other_faces(face, apex) {
-            if let Some(i) = next.iter().position(|f| f.face == mirrored(other)) {
-                next.swap_remove(i);
-            } else if next.iter().any(|f| f.face == other) {
-                return None; // the far side of this face is taken
+            let rest = &self.fronts[end..];
+            if let Some(i) = rest.iter().position(|f| f.face == mirrored(other)) {
+                self.fronts.swap_remove(end + i);
+            } else if rest.iter().any(|f| f.face == other) {
+                return false; // the far side of this face is taken
             } else {
-                added.push(other);
+                added[count] = other;
+                count += 1;
             }
         }
-        for i in 0..next.len() {
-            for v in bits(next[i].candidates) {
-                if !added.iter().all(|&g| self.clearance.is_clear_of(next[i].face, v, g)) {
-                    next[i].candidates &= !(1 << v);
+        let added = &added[..count];
+        // The edges of the face that is covered now were there before.
+        let mut new_edges = [[apex; 2]; 3];
+        let mut edges = 0;
+        for u in face.into_iter().filter(|u| added.iter().any(|f| f.contains(u))) {
+            new_edges[edges] = [u, apex];
+            edges += 1;
+        }
+        let new_edges = &new_edges[..edges];
+        for i in end..self.fronts.len() {
+            let FrontFace { face, candidates, .. } = self.fronts[i];
+            let mut left = candidates;
+            for &other in added {
+                for u in face {
+                    left &= !self.obstruction.edges_meeting(u, other, left);
                 }
             }
-            if next[i].candidates == 0 {
-                return None;
+            for pair in edges_of(face) {
+                for &edge in new_edges {
+                    left &= !self.obstruction.faces_meeting(pair, edge, left);
+                }
+            }
+            if left == 0 {
+                return false;
+            }
+            self.fronts[i].candidates = left;
+        }
+        for &face in added {
+            self.fronts.push(FrontFace { face, candidates: 0, is_new: true });
+        }
+        for i in self.fronts.len() - count..self.fronts.len() {
+            let face = self.fronts[i].face;
+            let before = self.obstruction.above(face);
+            let mut left = self.clear_of_start(face, before);
+            for other in end..self.fronts.len() {
+                if left == 0 {
+                    return false;
+                }
+                if self.fronts[other].is_new && other != i {
+                    left = self.clear_of(face, left, self.fronts[other].face);
+                }
+            }
+            self.fronts[i].candidates = left;
+            if left == 0 {
+                return false;
             }
         }
-        next.extend(added.iter().map(|&face| FrontFace { face, candidates: 0, is_new: true }));
-        for i in next.len() - added.len()..next.len() {
-            let before = self.vertices_before(next[i].face);
-            next[i].candidates = self.clear_candidates(next[i].face, before, &next);
-            if next[i].candidates == 0 {
-                return None;
-            }
-        }
-        Some(next)
+        true
     }
 
-    /// The vertices with which the face makes a positive tet.
-    fn vertices_before(&self, face: Face) -> u64 {
-        let [a, b, c] = face.map(|i| self.clearance.points[i as usize]);
-        let is_before = |v: usize| !face.contains(&(v as u8)) && orient3d(a, b, c, self.clearance.points[v]) > 0.0;
-        (0..self.clearance.points.len()).fold(0, |mask, v| mask | u64::from(is_before(v)) << v)
-    }
-
-    /// Those of `vertices` whose tet on the face keeps clear of the front.
-    fn clear_candidates(&mut self, face: Face, vertices: u64, front: &[FrontFace]) -> u64 {
-        let mut mask = 0;
-        for v in bits(vertices) {
-            if self.clearance.is_clear_of_start(face, v)
-                && front.iter().filter(|g| g.is_new).all(|g| self.clearance.is_clear_of(face, v, g.face))
-            {
-                mask |= 1 << v;
+    /// Those of `vertices` whose tet on the face keeps clear of another face.
+    fn clear_of(&mut self, face: Face, vertices: u64, other: Face) -> u64 {
+        let mut left = vertices;
+        for u in face {
+            left &= !self.obstruction.edges_meeting(u, other, left);
+        }
+        for pair in edges_of(face) {
+            for edge in edges_of(other) {
+                left &= !self.obstruction.faces_meeting(pair, edge, left);
             }
         }
-        mask
+        left
     }
+
+    /// Those of `vertices` whose tet on the face keeps clear of the faces at the start.
+    fn clear_of_start(&mut self, face: Face, vertices: u64) -> u64 {
+        let mut left = vertices;
+        for u in face {
+            left &= !self.edges_meeting_start(u, left);
+        }
+        for pair in edges_of(face) {
+            left &= !self.faces_meeting_start(pair, left);
+        }
+        left
+    }
+
+    fn edges_meeting_start(&mut self, u: u8, wanted: u64) -> u64 {
+        let Self { met_edges, start_faces, obstruction, .. } = self;
+        let known = &mut met_edges[usize::from(u)];
+        let mut open = wanted & !known.asked;
+        known.asked |= open;
+        for &face in start_faces.iter() {
+            if open == 0 {
+                break;
+            }
+            let met = obstruction.edges_meeting(u, face, open);
+            known.met |= met;
+            open &= !met;
+        }
+        known.met
+    }
+
+    fn faces_meeting_start(&mut self, mut pair: [u8; 2], wanted: u64) -> u64 {
+        pair.sort_unstable();
+        let Self { met_faces, start_edges, obstruction, .. } = self;
+        let known = &mut met_faces[usize::from(pair[0]) * obstruction.count() + usize::from(pair[1])];
+        let mut open = wanted & !known.asked;
+        known.asked |= open;
+        for &edge in start_edges.iter() {
+            if open == 0 {
+                break;
+            }
+            let met = obstruction.faces_meeting(pair, edge, open);
+            known.met |= met;
+            open &= !met;
+        }
+        known.met
+    }
+}
+
+fn edges_of([a, b, c]: Face) -> [[u8; 2]; 3] {
+    [[a, b], [b, c], [c, a]]
 }
 
 #[cfg(test)]
@@ -230,7 +374,9 @@ mod tests {
     fn fill(points: &[[f64; 3]], front: &[[u32; 3]], sheets: &[[u32; 3]]) -> Option<Vec<[VertexId; 4]>> {
         let ids = |faces: &[[u32; 3]]| faces.iter().map(|f| f.map(VertexId)).collect::<Vec<_>>();
         let point_of = |v: VertexId| DVec3::from_array(points[v.index()]);
-        fill_cavity(&ids(front), &ids(sheets), point_of, (10_000, &CancelToken::default()), &mut 20_000)
+        let faces = (&ids(front)[..], &ids(sheets)[..]);
+        let search = (10_000, &CancelToken::default());
+        fill_cavity(&mut CavityFilling::default(), faces, point_of, search, &mut 20_000)
     }
 
     const BIPYRAMID: [[f64; 3]; 5] = [[1., 0., 0.], [-0.5, 0.8, 0.], [-0.5, -0.8, 0.], [0., 0., 1.], [0., 0., -1.]];
@@ -249,10 +395,11 @@ mod tests {
         let front = BIPYRAMID_FACES.map(|f| f.map(VertexId));
         let point_of = |v: VertexId| DVec3::from_array(BIPYRAMID[v.index()]);
         let (cancel, mut budget) = (CancelToken::default(), 20_000);
-        assert!(fill_cavity(&front, &[], point_of, (10_000, &cancel), &mut budget).is_some());
+        let mut filling = CavityFilling::default();
+        assert!(fill_cavity(&mut filling, (&front, &[]), point_of, (10_000, &cancel), &mut budget).is_some());
         assert!(budget > 0);
         cancel.cancel();
-        assert_eq!(fill_cavity(&front, &[], point_of, (10_000, &cancel), &mut budget), None);
+        assert_eq!(fill_cavity(&mut filling, (&front, &[]), point_of, (10_000, &cancel), &mut budget), None);
         assert_eq!(budget, 0);
     }
 

@@ -22,7 +22,7 @@
 use glam::DVec3;
 use rustc_hash::{FxHashMap, FxHashSet};
 
-use super::cavity_filling::fill_cavity;
+use super::cavity_filling::{CavityFilling, fill_cavity};
 use super::steiner_points::CavityMarks;
 use crate::context::CancelToken;
 use crate::error::Result;
@@ -75,6 +75,8 @@ pub struct ConstrainedMesh {
     ball: Vec<TetId>,
     /// Scratch of insertions.
     pub marks: CavityMarks,
+    /// Scratch of searches for a filling.
+    filling: CavityFilling,
     /// Faces of a change: the key in the upper 96 bits, the place in `sides` in the lower 32.
     faces: Vec<u128>,
     sides: Vec<TetFace>,
@@ -364,13 +366,14 @@ impl ConstrainedMesh {
 
     /// A filling of a polyhedron as by [`fill_cavity`], or `None`, also where the run is cancelled.
     pub fn fill(
-        &self,
+        &mut self,
         front: &[[VertexId; 3]],
         sheets: &[[VertexId; 3]],
         steps: usize,
         budget: &mut usize,
     ) -> Option<Vec<[VertexId; 4]>> {
-        fill_cavity(front, sheets, |v| self.at(v), (steps, &self.cancel), budget)
+        let Self { filling, complex, cancel, .. } = self;
+        fill_cavity(filling, (front, sheets), |v| complex.point(v), (steps, cancel), budget)
     }
 
     /// Begins a trial: [`Self::end_trial`] keeps or undoes what is changed until then.

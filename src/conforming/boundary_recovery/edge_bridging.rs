@@ -200,7 +200,7 @@ type Filling = (Vec<[VertexId; 4]>, Vec<glam::DVec3>);
 
 /// Fills the halves of a ball: each on its own vertices or with one point.
 fn fill_parts(
-    mesh: &ConstrainedMesh,
+    mesh: &mut ConstrainedMesh,
     steiner: VertexId,
     parts: &[Vec<[VertexId; 3]>; 2],
     edge: EdgeKey,

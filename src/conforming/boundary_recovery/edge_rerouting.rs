@@ -112,9 +112,8 @@ mod tests {
     use super::*;
     use crate::conforming::boundary_recovery::edge_efforts;
     use crate::conforming::boundary_recovery::edge_recovery::recover_edges;
-    use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, tetrahedralize};
-    use crate::conforming::enclosure::enclosing_corners;
     use crate::conforming::options::Options;
+    use crate::conforming::test_meshes::enclosed_mesh;
     use crate::conforming::test_surfaces::{strips, twisted_prism};
     use crate::mesh::tet_store::TetStore;
 
@@ -124,11 +123,7 @@ mod tests {
         let flips = edge_efforts(&Options::default())[0];
         let mut recovered = 0;
         for surface in [strips(30, 3600.0), twisted_prism(24, 6.0, 4), twisted_prism(5, 15.0, 6)] {
-            let mut points = surface.points.clone();
-            points.extend(enclosing_corners(&surface.points));
-            let options = DelaunayOptions { order: PointOrder::Input, ..Default::default() };
-            let complex = tetrahedralize(&points, &options, &context).unwrap().complex;
-            let mut mesh = ConstrainedMesh::new(complex, &surface.facets);
+            let mut mesh = ConstrainedMesh::new(enclosed_mesh(&surface.points), &surface.facets);
             let missing = mesh.missing_segments();
             let missing = recover_edges(&mut mesh, missing, &flips, &context).unwrap();
             let before = missing.len();
@@ -147,12 +142,8 @@ mod tests {
     fn a_gap_moves_and_nothing_else_is_lost() {
         // Schoenhardt's prism: whatever makes room, one diagonal stays missing.
         let surface = twisted_prism(3, 20.0, 1);
-        let mut points = surface.points.clone();
-        points.extend(enclosing_corners(&surface.points));
         let context = RunContext::with_threads(1).unwrap();
-        let options = DelaunayOptions { order: PointOrder::Input, ..Default::default() };
-        let complex = tetrahedralize(&points, &options, &context).unwrap().complex;
-        let mut mesh = ConstrainedMesh::new(complex, &surface.facets);
+        let mut mesh = ConstrainedMesh::new(enclosed_mesh(&surface.points), &surface.facets);
         let effort = Effort { depth: 3, tries: TRIES, ..edge_efforts(&Options::default())[0] };
         for turn in 0..4 {
             let missing = mesh.missing_segments();

@@ -33,6 +33,7 @@ pub mod edge_recovery;
 pub mod edge_removal;
 pub mod edge_rerouting;
 pub mod face_recovery;
+mod obstruction;
 pub mod partition_elimination;
 pub mod sight_insertion;
 pub mod steiner_points;
@@ -412,8 +413,7 @@ fn not_recovered(places: Vec<DVec3>, text: &str) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, tetrahedralize};
-    use crate::conforming::enclosure::enclosing_corners;
+    use crate::conforming::test_meshes::enclosed_mesh;
     use crate::conforming::test_surfaces::cube;
     use crate::mesh::tet_store::TetStore;
 
@@ -448,11 +448,8 @@ mod tests {
     #[test]
     fn a_cancelled_recovery_ends_at_once() {
         let surface = crate::conforming::test_surfaces::twisted_prism(3, 20.0, 1);
-        let mut points = surface.points.clone();
-        points.extend(enclosing_corners(&surface.points));
         let context = RunContext::with_threads(1).unwrap();
-        let delaunay = DelaunayOptions { order: PointOrder::Input, ..Default::default() };
-        let complex = tetrahedralize(&points, &delaunay, &context).unwrap().complex;
+        let complex = enclosed_mesh(&surface.points);
         context.cancel_token().cancel();
         let mut report = RecoveryReport::default();
         let recovered = recover(complex, &surface.facets, &Options::default(), &context, &mut report);
@@ -462,11 +459,8 @@ mod tests {
     #[test]
     fn a_split_that_is_taken_back_is_whole_again() {
         let surface = cube(3);
-        let mut points = surface.points.clone();
-        points.extend(enclosing_corners(&surface.points));
         let context = RunContext::with_threads(1).unwrap();
-        let options = DelaunayOptions { order: PointOrder::Input, ..Default::default() };
-        let complex = tetrahedralize(&points, &options, &context).unwrap().complex;
+        let complex = enclosed_mesh(&surface.points);
         let options = Options::default();
         let mut report = RecoveryReport::default();
         let mut mesh = recover(complex, &surface.facets, &options, &context, &mut report).unwrap();

@@ -607,15 +607,12 @@ mod tests {
     #[test]
     fn a_split_is_undone_once_points_of_the_volume_left_the_plane() {
         use crate::conforming::boundary_recovery::steiner_points::insert_point;
-        use crate::conforming::enclosure::enclosing_corners;
+        use crate::conforming::test_meshes::enclosed_mesh;
         use crate::conforming::test_surfaces::cube;
 
         let surface = cube(2);
-        let mut points = surface.points.clone();
-        points.extend(enclosing_corners(&surface.points));
         let context = RunContext::with_threads(1).unwrap();
-        let options = DelaunayOptions { order: PointOrder::Input, ..Default::default() };
-        let complex = tetrahedralize(&points, &options, &context).unwrap().complex;
+        let complex = enclosed_mesh(&surface.points);
         let (options, mut report) = Default::default();
         let facets = &surface.facets;
         let mut mesh = super::super::recover(complex, facets, &options, &context, &mut report).unwrap();

@@ -200,20 +200,14 @@ fn leave_plane(mesh: &mut ConstrainedMesh, vertex: VertexId, [a, b, c]: [DVec3; 
 mod tests {
     use super::*;
     use crate::conforming::boundary_recovery::efforts;
-    use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, tetrahedralize};
-    use crate::conforming::enclosure::enclosing_corners;
     use crate::conforming::options::Options;
+    use crate::conforming::test_meshes::enclosed_mesh;
     use crate::conforming::test_surfaces::twisted_prism;
 
     /// The Delaunay mesh of a twisted prism in a box of corners, which misses the diagonals of the prism.
     fn knot() -> ConstrainedMesh {
         let surface = twisted_prism(3, 20.0, 1);
-        let mut points = surface.points.clone();
-        points.extend(enclosing_corners(&surface.points));
-        let context = RunContext::with_threads(1).unwrap();
-        let options = DelaunayOptions { order: PointOrder::Input, ..Default::default() };
-        let delaunay = tetrahedralize(&points, &options, &context).unwrap();
-        ConstrainedMesh::new(delaunay.complex, &surface.facets)
+        ConstrainedMesh::new(enclosed_mesh(&surface.points), &surface.facets)
     }
 
     #[test]
@@ -268,11 +262,7 @@ mod tests {
     #[test]
     fn a_point_of_the_volume_leaves_a_wanted_edge() {
         let points = [[-2., 0., 0.], [2., 0., 0.], [0., 2., 1.], [0., -2., 1.], [0., 0., -2.], [0., 0., 0.]];
-        let mut points = points.map(DVec3::from_array).to_vec();
-        points.extend(enclosing_corners(&points));
-        let context = RunContext::with_threads(1).unwrap();
-        let options = DelaunayOptions { order: PointOrder::Input, ..Default::default() };
-        let complex = tetrahedralize(&points, &options, &context).unwrap().complex;
+        let complex = enclosed_mesh(&points.map(DVec3::from_array));
         let facets = [[0, 1, 2], [0, 1, 3], [0, 1, 4]].map(|f| f.map(VertexId));
         let mut mesh = ConstrainedMesh::new(complex, &facets);
         let (edge, middle) = ([VertexId(0), VertexId(1)], VertexId(5));
