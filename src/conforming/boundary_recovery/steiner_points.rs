@@ -5,8 +5,8 @@
 //!    pierces it, farthest from its border. Rounding moves the point off the edge or face by less than any feature.
 //!    Where flat tets of a plane lie before an end, every part of the segment at that end stays missing: then the point
 //!    goes where it sees the end (`sight_insertion`).
-//! 2. The point is located by a walk; the cavity grows from there over tets whose circumsphere contains the point, never
-//!    over a subface or around a segment, and is thinned until the point sees its whole boundary.
+//! 2. The point is located by a walk; the cavity grows from there over tets whose circumsphere contains the point, as long as
+//!    the point sees its whole boundary, never over a subface or around a segment.
 //!
 //! # Source
 //! [Bowyer1981], [Watson1981] for the cavity; [GeorgeBorouchaki2003] for points on constraints.
@@ -16,12 +16,11 @@ use super::crossings::{Crossing, Path, tets_across, tets_along, trace};
 use crate::error::Result;
 use crate::geometry::predicates::{insphere, orient3d};
 use crate::index::{TetFace, TetId, VertexId};
-use crate::mesh::numbering::TET_FACES;
+use crate::mesh::numbering::{TET_EDGES, TET_FACES};
 use crate::mesh::tet_store::TetStore;
+use crate::mesh::topology::ShellTet;
 use glam::DVec3;
 
-/// Repairs of a cavity before the insertion is given up.
-const MOST_REPAIRS: usize = 200;
 /// Tets that join a cavity whatever the point sees, beyond which the insertion is given up.
 const MOST_FORCED: usize = 60;
 
@@ -226,21 +225,18 @@ pub fn insert_with(
     Ok(Ok(vertex))
 }
 
-/// What is known of the tets while a cavity is sought: an entry counts for one insertion or one round of it.
+/// What is known of the tets while a cavity is sought: an entry counts for one insertion.
 #[derive(Debug, Default)]
 pub struct CavityMarks {
     /// The insertion, and below it the bits of what was computed in it.
     known: Vec<u64>,
-    /// Twice the round in which the tet was met; one more where it is in the cavity.
-    met: Vec<u64>,
     insertion: u64,
-    round: u64,
 }
 
 /// Bits of [`CavityMarks::known`]; for each of the four faces one of `SEEN` and one of `HIDDEN`.
 const TESTED: u64 = 1;
 const CONFLICT: u64 = 2;
-const BANNED: u64 = 4;
+const INSIDE: u64 = 4;
 const SEEN: u64 = 8;
 const HIDDEN: u64 = 128;
 const BITS: u32 = 16;
@@ -249,7 +245,6 @@ impl CavityMarks {
     fn begin(&mut self, slots: usize) {
         self.insertion += 1;
         self.known.resize(slots, 0);
-        self.met.resize(slots, 0);
     }
 
     /// The entry of a tet in this insertion.
@@ -262,11 +257,8 @@ impl CavityMarks {
     }
 
     fn is_inside(&self, tet: TetId) -> bool {
-        self.met[tet.index()] == 2 * self.round + 1
-    }
-
-    fn put_outside(&mut self, tet: TetId) {
-        self.met[tet.index()] = 2 * self.round;
+        let entry = self.known[tet.index()];
+        entry >> BITS == self.insertion && entry & INSIDE != 0
     }
 
     /// Whether the circumsphere of the tet contains the point.
@@ -294,122 +286,118 @@ impl CavityMarks {
 /// Tets, and the faces around them as seen from inside.
 type Cavity = (Vec<TetId>, Vec<[VertexId; 3]>);
 
-/// A set of tets around the point that it sees from inside, and that swallows no constraint; else the tets tried last.
+/// A set of tets around the point that it sees from inside, and that swallows no constraint; else the tets that had to be in
+/// it, with those that would have joined.
 fn star_cavity(
     mesh: &ConstrainedMesh,
     point: DVec3,
-    mut forced: Vec<TetId>,
+    forced: Vec<TetId>,
     marks: &mut CavityMarks,
 ) -> std::result::Result<Cavity, Vec<TetId>> {
     marks.begin(mesh.complex.slot_count());
     let most = forced.len() + MOST_FORCED;
-    let mut cavity = Vec::new();
-    for _ in 0..MOST_REPAIRS {
-        cavity = conflict_region(mesh, point, &forced, marks);
-        let (mut faults, is_thinned) = thin_hidden(mesh, point, (&cavity, &forced), marks);
-        if is_thinned {
-            continue;
-        }
-        if faults.is_empty() {
-            let shape = mesh.shape_of(&cavity);
-            if shape.segments.is_empty() {
-                return Ok((cavity, shape.front));
-            }
-            let has = |tet: TetId, e: &EdgeKey| e.iter().all(|&v| mesh.complex.local_vertex(tet, v).is_some());
-            for segment in &shape.segments {
-                if faults.iter().any(|(tet, _)| has(*tet, segment)) {
-                    continue;
-                }
-                // The last tet that has a swallowed segment: the first ones contain the point.
-                faults.extend(cavity.iter().rev().find(|tet| has(**tet, segment)).map(|&tet| (tet, None)));
-            }
-        }
-        let mut is_new = false;
-        for (tet, _) in &faults {
-            let known = marks.known(*tet);
-            if !forced.contains(tet) && *known & BANNED == 0 {
-                *known |= BANNED;
-                is_new = true;
-            }
-        }
-        if is_new {
-            continue;
-        }
-        // A tet that contains the point has to stay: its neighbour joins instead.
-        let Some(beyond) = faults[0].1.filter(|_| forced.len() <= most) else { break };
-        *marks.known(beyond) &= !BANNED;
-        forced.push(beyond);
-    }
-    Err(cavity)
-}
-
-/// Tets reachable from `forced` whose circumsphere contains the point.
-fn conflict_region(mesh: &ConstrainedMesh, point: DVec3, forced: &[TetId], marks: &mut CavityMarks) -> Vec<TetId> {
-    marks.round += 1;
-    let (met, inside) = (2 * marks.round, 2 * marks.round + 1);
-    let mut cavity = forced.to_vec();
-    for tet in forced {
-        marks.met[tet.index()] = inside;
-    }
+    let mut cavity = forced;
+    cavity.iter().for_each(|&tet| *marks.known(tet) |= INSIDE);
+    // What the tets that have to be there hide has to go as well.
     let mut next = 0;
     while next < cavity.len() {
         let tet = cavity[next];
         next += 1;
-        for face in 0..4 {
-            let side = TetFace::new(tet, face);
+        for side in (0..4).map(|face| TetFace::new(tet, face)) {
             let other = mesh.complex.neighbor(side);
-            if other == TetFace::NONE {
+            let is_inside = other != TetFace::NONE && marks.is_inside(other.tet());
+            if is_inside || !marks.hides(mesh, side, point) {
                 continue;
             }
-            let beyond = other.tet();
-            let is_met = marks.met[beyond.index()] >= met;
-            if is_met
-                || *marks.known(beyond) & BANNED != 0
-                || mesh.complex.is_ghost_tet(beyond)
-                || mesh.is_subface(side)
-            {
-                continue;
+            let closed = other == TetFace::NONE || mesh.is_subface(side) || mesh.complex.is_ghost_tet(other.tet());
+            if closed || cavity.len() > most {
+                return Err(conflict_region(mesh, point, cavity, marks));
             }
-            let conflicts = marks.conflicts(mesh, beyond, point);
-            marks.met[beyond.index()] = if conflicts { inside } else { met };
-            if conflicts {
-                cavity.push(beyond);
+            *marks.known(other.tet()) |= INSIDE;
+            cavity.push(other.tet());
+        }
+    }
+    if !mesh.shape_of(&cavity).segments.is_empty() {
+        return Err(conflict_region(mesh, point, cavity, marks));
+    }
+    // A tet that was refused is looked at again when another one beside it joins.
+    next = 0;
+    while next < cavity.len() {
+        let tet = cavity[next];
+        next += 1;
+        for side in (0..4).map(|face| TetFace::new(tet, face)) {
+            let other = mesh.complex.neighbor(side);
+            if other != TetFace::NONE && may_join(mesh, point, other.tet(), marks) {
+                *marks.known(other.tet()) |= INSIDE;
+                cavity.push(other.tet());
+            }
+        }
+    }
+    let front = mesh.shape_of(&cavity).front;
+    Ok((cavity, front))
+}
+
+/// Whether the circumsphere of a tet beside the cavity contains the point, which then sees all the cavity's border still, and
+/// no constraint is swallowed.
+fn may_join(mesh: &ConstrainedMesh, point: DVec3, tet: TetId, marks: &mut CavityMarks) -> bool {
+    if marks.is_inside(tet) || mesh.complex.is_ghost_tet(tet) || !marks.conflicts(mesh, tet, point) {
+        return false;
+    }
+    let mut inside = [false; 4];
+    for side in (0..4).map(|face| TetFace::new(tet, face)) {
+        let other = mesh.complex.neighbor(side);
+        inside[side.face()] = other != TetFace::NONE && marks.is_inside(other.tet());
+        let fits = if inside[side.face()] { !mesh.is_subface(side) } else { !marks.hides(mesh, side, point) };
+        if !fits {
+            return false;
+        }
+    }
+    // A segment is swallowed with the last tet around it, which has others on both sides then.
+    let row = mesh.complex.vertices(tet);
+    !TET_EDGES.iter().any(|&[i, j]| {
+        (0..4).all(|face| face == i || face == j || inside[face])
+            && mesh.is_segment(row[i], row[j])
+            && all_inside(mesh, ShellTet::new(tet, i, j), marks)
+    })
+}
+
+/// Whether all tets around an edge but the first one are in the cavity.
+fn all_inside(mesh: &ConstrainedMesh, first: ShellTet, marks: &CavityMarks) -> bool {
+    let mut current = first;
+    while let Some(next) = current.next(&mesh.complex) {
+        if next.tet == first.tet {
+            return true;
+        }
+        if !marks.is_inside(next.tet) {
+            return false;
+        }
+        current = next;
+    }
+    false
+}
+
+/// The tets reachable from a cavity whose circumsphere contains the point.
+fn conflict_region(
+    mesh: &ConstrainedMesh,
+    point: DVec3,
+    mut cavity: Vec<TetId>,
+    marks: &mut CavityMarks,
+) -> Vec<TetId> {
+    let mut next = 0;
+    while next < cavity.len() {
+        let tet = cavity[next];
+        next += 1;
+        for side in (0..4).map(|face| TetFace::new(tet, face)) {
+            let other = mesh.complex.neighbor(side);
+            let open = other != TetFace::NONE
+                && !mesh.is_subface(side)
+                && !marks.is_inside(other.tet())
+                && !mesh.complex.is_ghost_tet(other.tet());
+            if open && marks.conflicts(mesh, other.tet(), point) {
+                *marks.known(other.tet()) |= INSIDE;
+                cavity.push(other.tet());
             }
         }
     }
     cavity
-}
-
-/// Bans the tets with a boundary face that the point does not see from inside, and those at which that opens such a face:
-/// as these stay on the border when others go, nothing but the way to the rest has to be looked at anew. Returns the tets
-/// that have to stay, each with what could join, and whether others are banned.
-fn thin_hidden(
-    mesh: &ConstrainedMesh,
-    point: DVec3,
-    (cavity, forced): (&[TetId], &[TetId]),
-    marks: &mut CavityMarks,
-) -> (Vec<(TetId, Option<TetId>)>, bool) {
-    let mut faults = Vec::new();
-    let mut is_thinned = false;
-    let mut stack: Vec<TetId> = cavity.iter().rev().copied().collect();
-    while let Some(tet) = stack.pop() {
-        if !marks.is_inside(tet) {
-            continue;
-        }
-        let others = [0, 1, 2, 3].map(|face| mesh.complex.neighbor(TetFace::new(tet, face)));
-        let inside = others.map(|other| other != TetFace::NONE && marks.is_inside(other.tet()));
-        let hidden = (0..4).find(|&face| !inside[face] && marks.hides(mesh, TetFace::new(tet, face), point));
-        let Some(face) = hidden else { continue };
-        if forced.contains(&tet) {
-            let (side, other) = (TetFace::new(tet, face), others[face]);
-            let open = other != TetFace::NONE && !mesh.is_subface(side) && !mesh.complex.is_ghost_tet(other.tet());
-            faults.push((tet, open.then(|| other.tet())));
-            continue;
-        }
-        *marks.known(tet) |= BANNED;
-        marks.put_outside(tet);
-        is_thinned = true;
-        stack.extend((0..4).filter(|&face| inside[face]).map(|face| others[face].tet()));
-    }
-    (faults, is_thinned)
 }
