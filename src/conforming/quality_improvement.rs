@@ -15,7 +15,7 @@
 //! Slivers that the boundary does not force then get all operations and the reconnection of small polyhedra, while tets on
 //! the boundary's needles count as better than they are (`needle_faces`). At the end, tets with faces that finite-volume
 //! solvers find skew get all operations under a measure that counts skewness: needles on a small triangle may lean far
-//! while their angles are good.
+//! while their angles are good. Around what may not stay even then, iterated local search goes on (`region_search`).
 //!
 //! # Source
 //! [Drakopoulos2017] 4.9; B.3 `nqual`, `nqualf`, `angqual`, `angqmsk`, `angqmax`, `mrecqm`, `mrecqmf`, `ordtq`, `mdfs`, `ndfs`,
@@ -39,19 +39,19 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::flip_criteria::{BiasedSine, STRICT_ANGLE, StrictInside, TetMeasure, UnskewedSine};
+use super::forced_slivers::{is_forced_sliver, sliver_cosine};
 use super::local_reconnection::{FourFour, Objective};
 use super::needle_faces::NeedleFaces;
 use super::options::Options;
 use super::parallel_reconnection::{Crowding, Driver, FLAT_BELOW, Touched, Treatment, count_of_bad};
 use super::refinement::boundary_triangles;
+use super::region_search::{RegionSearch, grade_off_boundary, may_not_stay};
 use super::smoothing::{Acceptance, SmoothingRule, Target};
 use crate::context::RunContext;
 use crate::error::Result;
-use crate::geometry::tetrahedron::{
-    dihedral_angles, dihedral_cosines, edge_vectors, exceeds_angle, face_skewness, volume6,
-};
+use crate::geometry::tetrahedron::{dihedral_cosines, edge_vectors, exceeds_angle, face_skewness, volume6};
 use crate::index::{TetFace, TetId, VertexId};
-use crate::mesh::numbering::{TET_FACES, TET_OPPOSITE_EDGES};
+use crate::mesh::numbering::TET_FACES;
 use crate::mesh::quality::SLIVER_DEGREES;
 use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_flags::TetFlags;
@@ -257,13 +257,6 @@ fn slivers(complex: &TetComplex, context: &RunContext) -> Vec<TetId> {
     sift(complex, context, &Scope::default(), |_| false, sliver).0
 }
 
-/// The cosine of the largest angle of a tet that is a sliver.
-fn sliver_cosine(corners: [DVec3; 4]) -> Option<f64> {
-    let limit = SLIVER_DEGREES.to_radians().cos();
-    let (largest, smallest) = dihedral_cosines(corners);
-    (largest > limit || smallest < -limit).then_some(smallest)
-}
-
 /// Whether a face of the tet may be skew. The apex of one stands more than 12 of the face's extents beside its centroid
 /// and at most 1 / 1.2 of that above it: six times the volume is less than 0.082 of the cube of the longest edge.
 fn may_be_skew(corners: [DVec3; 4]) -> bool {
@@ -292,24 +285,6 @@ fn tets_with_skew_faces(complex: &TetComplex, context: &RunContext, scope: &Scop
         (worst > UnskewedSine::SKEW).then_some(-worst)
     };
     sift(complex, context, scope, |_| false, is_skew).0
-}
-
-/// Whether the boundary forces a sliver: two of its faces on the boundary meet at the bad angle, or a face on the boundary
-/// has an own angle beyond the limits. Other slivers could go, if only with many small tets beside the boundary.
-fn is_forced_sliver(complex: &TetComplex, tet: TetId) -> bool {
-    let (row, flags, neighbors) = (complex.vertices(tet), complex.flags(tet), complex.neighbors(tet));
-    let is_wall = |face: usize| flags.is_face_constrained(face) || neighbors[face] == TetFace::NONE;
-    let is_extreme = |degrees: f64| !(SLIVER_DEGREES..=180.0 - SLIVER_DEGREES).contains(&degrees);
-    let has_extreme_corner = |face: usize| {
-        let p = TET_FACES[face].map(|local| complex.point(row[local]));
-        (0..3).any(|i| is_extreme((p[(i + 1) % 3] - p[i]).angle_between(p[(i + 2) % 3] - p[i]).to_degrees()))
-    };
-    let angles = dihedral_angles(complex.points_of(tet));
-    let meets_between_walls = |edge: usize| {
-        let [i, j] = TET_OPPOSITE_EDGES[edge];
-        is_wall(i) && is_wall(j) && is_extreme(angles[edge])
-    };
-    (0..4).any(|face| is_wall(face) && has_extreme_corner(face)) || (0..6).any(meets_between_walls)
 }
 
 /// The vertices of some tets, each once, ascending.
@@ -413,7 +388,11 @@ pub fn improve(
         }
         scope = Scope::around(complex, context, &left, REPEAT_RINGS);
     }
-    let skew_tets = improver.treat_skew_faces(complex, sizes)?;
+    improver.treat_skew_faces(complex, sizes)?;
+    let [tried, replaced] = improver.search_regions(complex, sizes)?;
+    figures.set("quality.disturbances", tried as f64);
+    figures.set("quality.regions_replaced", replaced as f64);
+    let skew_tets = tets_with_skew_faces(complex, context, &Scope::default()).len();
     figures.set("quality.skew_tets", skew_tets as f64);
     Known::forget(complex);
     improver.driver.record(&mut figures, "quality");
@@ -577,13 +556,38 @@ impl Improver<'_> {
         Ok(())
     }
 
-    /// All operations at tets with skew faces but no sliver's angles; returns how many tets have skew faces in the end.
+    /// Iterated local search around the tets that may not stay and that no operation removes: slivers that the boundary does
+    /// not force, and tets off the boundary with angles near those demanded.
+    fn search_regions(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>) -> Result<[usize; 2]> {
+        let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
+        let mut search = RegionSearch::new(self.options, self.context, goal);
+        if !self.options.delete_field_slivers {
+            return Ok(search.counts);
+        }
+        for _ in 0..LAST_ROUNDS {
+            let mut bad = self.known.tets_below(complex, self.context, &Scope::default(), grade_off_boundary());
+            bad.retain(|&tet| may_not_stay(complex, self.on_boundary, tet));
+            let mut is_better = false;
+            for tet in bad {
+                // The tet may be gone, or another in its place, by the searches before.
+                while complex.is_live(tet) && search.search(complex, sizes, self.on_boundary, tet)? {
+                    is_better = true;
+                }
+            }
+            if !is_better {
+                break;
+            }
+        }
+        Ok(search.counts)
+    }
+
+    /// All operations at tets with skew faces but no sliver's angles.
     /// Slivers have had all operations, and for their sake tets off the boundary would become bad here.
-    fn treat_skew_faces(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>) -> Result<usize> {
+    fn treat_skew_faces(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>) -> Result<()> {
         let flat = FLAT_BELOW.to_radians().sin();
         let mut skew = tets_with_skew_faces(complex, self.context, &Scope::default());
         if skew.is_empty() || !self.options.delete_field_slivers {
-            return Ok(skew.len());
+            return Ok(());
         }
         self.driver.take_touched();
         for _ in 0..SKEW_ROUNDS {
@@ -596,7 +600,7 @@ impl Improver<'_> {
             let scope = Scope::beside_changes(complex, self.context, self.driver.take_touched());
             skew = tets_with_skew_faces(complex, self.context, &scope);
         }
-        Ok(tets_with_skew_faces(complex, self.context, &Scope::default()).len())
+        Ok(())
     }
 
     /// All operations at bad tets, worst first; returns how many were carried out. Points crowd around the first ones
@@ -633,41 +637,6 @@ mod tests {
     use crate::conforming::delaunay_kernel::{DelaunayOptions, tetrahedralize};
     use crate::index::Label;
 
-    /// One tet over the triangle a b c; its boundary is all of its faces.
-    fn alone(c: DVec3, apex: DVec3) -> TetComplex {
-        let mut complex = TetComplex::with_points(vec![DVec3::ZERO, DVec3::X, c, apex]).unwrap();
-        complex.create_tet([0, 1, 2, 3].map(VertexId), Label(1)).unwrap();
-        complex
-    }
-
-    #[test]
-    fn slivers_are_forced_by_angles_of_the_boundary_only() {
-        let context = RunContext::with_threads(1).unwrap();
-        let flat_wedge = alone(DVec3::Y, DVec3::new(0.2, 0.2, 0.002));
-        let needle = alone(DVec3::new(1.0, 0.01, 0.0), DVec3::new(0.2, 0.2, 0.3));
-        let regular = alone(DVec3::Y, DVec3::Z);
-        for (complex, count) in [(&flat_wedge, 1), (&needle, 1), (&regular, 0)] {
-            let found = slivers(complex, &context);
-            assert_eq!(found.len(), count);
-            assert!(found.iter().all(|tet| is_forced_sliver(complex, *tet)));
-        }
-        // The same flat tet with all others around it: nothing forces it.
-        let points = vec![
-            DVec3::ZERO,
-            DVec3::X,
-            DVec3::Y,
-            DVec3::new(0.5, 0.5, 0.002),
-            DVec3::new(0.3, 0.3, -3.0),
-            DVec3::new(0.3, 0.3, 3.0),
-        ];
-        let delaunay = DelaunayOptions::default();
-        let mut complex = tetrahedralize(&points, &delaunay, &context).unwrap().complex;
-        let tets: Vec<TetId> = complex.finite_tets().collect();
-        tets.into_iter().for_each(|tet| complex.set_label(tet, Label(1)));
-        let found = slivers(&complex, &context);
-        assert!(!found.is_empty() && found.iter().all(|tet| !is_forced_sliver(&complex, *tet)), "{found:?}");
-    }
-
     #[test]
     fn skew_faces_are_mended() {
         // A small triangle in the floor of a wide box, and one point far above to the side.
@@ -688,7 +657,7 @@ mod tests {
         let options = &options;
         let mut improver =
             Improver { options, context: &context, on_boundary: &on_boundary, driver, known, crowded_points: 0 };
-        assert_eq!(improver.treat_skew_faces(&mut complex, &mut sizes).unwrap(), 0);
+        improver.treat_skew_faces(&mut complex, &mut sizes).unwrap();
         assert!(tets_with_skew_faces(&complex, &context, &Scope::default()).is_empty());
         complex.check_invariants().unwrap();
         complex.check_orientation().unwrap();
