@@ -24,7 +24,7 @@
 
 use glam::DVec3;
 
-use super::obstruction::Obstruction;
+use super::obstruction::{Obstacles, Obstruction};
 use crate::conforming::front_clearance::{Face, MOST_VERTICES, bits, mirrored, other_faces, turned};
 use crate::context::CancelToken;
 use crate::index::VertexId;
@@ -38,25 +38,17 @@ const STEP_SHARE: usize = 8;
 #[derive(Debug, Default)]
 pub struct CavityFilling {
     ids: Vec<VertexId>,
+    /// Scratch of the start.
+    faces: Vec<Face>,
     obstruction: Obstruction,
-    /// The faces at the start and their edges, each once.
-    start_faces: Vec<Face>,
-    start_edges: Vec<[u8; 2]>,
-    /// What is known of edges to a vertex, and of faces at the edge of two vertices: the last vertices asked for, and those
-    /// with which they meet the start.
-    met_edges: Vec<Known>,
-    met_faces: Vec<Known>,
+    /// What is there at the start, what the step under way adds, and all that steps on the way added and that is still open.
+    start: Obstacles,
+    added: Obstacles,
+    open: Obstacles,
     /// The fronts of all steps on the way, one after the other.
     fronts: Vec<FrontFace>,
     tets: Vec<[u8; 4]>,
     steps_left: usize,
-}
-
-/// Answers for some vertices.
-#[derive(Debug, Clone, Copy, Default)]
-struct Known {
-    asked: u64,
-    met: u64,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -87,10 +79,10 @@ pub fn fill_cavity(
     if !filling.begin(front, sheets, point_of, steps) {
         return None;
     }
-    let end = filling.start_faces.len();
+    let end = filling.start.faces().len();
     let mut order: Vec<(u32, usize)> = Vec::with_capacity(end);
     for i in 0..end {
-        let face = filling.start_faces[i];
+        let face = filling.start.faces()[i];
         // Vertices on the right side of a face cost little, and a face that has few of them soon shows that there is no
         // filling: the costly tests begin with such faces.
         let candidates = filling.obstruction.above(face);
@@ -104,7 +96,7 @@ pub fn fill_cavity(
             return None;
         }
         let FrontFace { face, candidates, .. } = filling.fronts[i];
-        let clear = filling.clear_of_start(face, candidates);
+        let clear = filling.start.clear_of(&mut filling.obstruction, face, candidates);
         filling.fronts[i].candidates = clear;
         if clear == 0 {
             return None;
@@ -137,7 +129,7 @@ impl CavityFilling {
         point_of: impl Fn(VertexId) -> DVec3,
         steps: usize,
     ) -> bool {
-        let Self { ids, start_faces: faces, start_edges: edges, .. } = self;
+        let Self { ids, faces, .. } = self;
         ids.clear();
         ids.extend(front.iter().chain(sheets).flatten());
         ids.sort_unstable();
@@ -164,17 +156,13 @@ impl CavityFilling {
         if least_steps(faces.len()) > steps {
             return false;
         }
-        edges.clear();
-        edges.extend(faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]));
-        edges.iter_mut().for_each(|edge| edge.sort_unstable());
-        edges.sort_unstable();
-        edges.dedup();
-        let n = ids.len();
         self.obstruction.reset(ids.iter().map(|&v| point_of(v)));
-        self.met_edges.clear();
-        self.met_edges.resize(n, Known::default());
-        self.met_faces.clear();
-        self.met_faces.resize(n * n, Known::default());
+        for obstacles in [&mut self.start, &mut self.added, &mut self.open] {
+            obstacles.reset(ids.len());
+        }
+        for &face in faces.iter() {
+            self.start.add(face, |_| true);
+        }
         self.fronts.clear();
         self.tets.clear();
         true
@@ -240,7 +228,7 @@ impl CavityFilling {
         for i in (begin..end).filter(|&i| i != at) {
             self.fronts.push(self.fronts[i]);
         }
-        let mut added = [face; 3];
+        let mut added = [FrontFace { face, candidates: 0, is_new: true }; 3];
         let mut count = 0;
         for other in other_faces(face, apex) {
             let rest = &self.fronts[end..];
@@ -249,122 +237,41 @@ impl CavityFilling {
             } else if rest.iter().any(|f| f.face == other) {
                 return false; // the far side of this face is taken
             } else {
-                added[count] = other;
+                let before = self.obstruction.above(other);
+                let candidates = self.start.clear_of(&mut self.obstruction, other, before);
+                if candidates == 0 {
+                    return false;
+                }
+                added[count] = FrontFace { face: other, candidates, is_new: true };
                 count += 1;
             }
         }
-        let added = &added[..count];
-        // The edges of the face that is covered now were there before.
-        let mut new_edges = [[apex; 2]; 3];
-        let mut edges = 0;
-        for u in face.into_iter().filter(|u| added.iter().any(|f| f.contains(u))) {
-            new_edges[edges] = [u, apex];
-            edges += 1;
+        let Self { obstruction, start, added: obstacles, open, fronts, .. } = self;
+        obstacles.clear();
+        for added in &added[..count] {
+            // The edges of the face that is covered now were there before.
+            obstacles.add(added.face, |edge| edge.contains(&apex) && !start.has_edge(edge));
         }
-        let new_edges = &new_edges[..edges];
-        for i in end..self.fronts.len() {
-            let FrontFace { face, candidates, .. } = self.fronts[i];
-            let mut left = candidates;
-            for &other in added {
-                for u in face {
-                    left &= !self.obstruction.edges_meeting(u, other, left);
-                }
-            }
-            for pair in edges_of(face) {
-                for &edge in new_edges {
-                    left &= !self.obstruction.faces_meeting(pair, edge, left);
-                }
-            }
-            if left == 0 {
+        for front in &mut fronts[end..] {
+            front.candidates = obstacles.clear_of(obstruction, front.face, front.candidates);
+            if front.candidates == 0 {
                 return false;
             }
-            self.fronts[i].candidates = left;
         }
-        for &face in added {
-            self.fronts.push(FrontFace { face, candidates: 0, is_new: true });
+        let first = fronts.len();
+        fronts.extend(&added[..count]);
+        open.clear();
+        for front in fronts[end..].iter().filter(|f| f.is_new) {
+            open.add(front.face, |edge| !start.has_edge(edge));
         }
-        for i in self.fronts.len() - count..self.fronts.len() {
-            let face = self.fronts[i].face;
-            let before = self.obstruction.above(face);
-            let mut left = self.clear_of_start(face, before);
-            for other in end..self.fronts.len() {
-                if left == 0 {
-                    return false;
-                }
-                if self.fronts[other].is_new && other != i {
-                    left = self.clear_of(face, left, self.fronts[other].face);
-                }
-            }
-            self.fronts[i].candidates = left;
-            if left == 0 {
+        for front in &mut fronts[first..] {
+            front.candidates = open.clear_of(obstruction, front.face, front.candidates);
+            if front.candidates == 0 {
                 return false;
             }
         }
         true
     }
-
-    /// Those of `vertices` whose tet on the face keeps clear of another face.
-    fn clear_of(&mut self, face: Face, vertices: u64, other: Face) -> u64 {
-        let mut left = vertices;
-        for u in face {
-            left &= !self.obstruction.edges_meeting(u, other, left);
-        }
-        for pair in edges_of(face) {
-            for edge in edges_of(other) {
-                left &= !self.obstruction.faces_meeting(pair, edge, left);
-            }
-        }
-        left
-    }
-
-    /// Those of `vertices` whose tet on the face keeps clear of the faces at the start.
-    fn clear_of_start(&mut self, face: Face, vertices: u64) -> u64 {
-        let mut left = vertices;
-        for u in face {
-            left &= !self.edges_meeting_start(u, left);
-        }
-        for pair in edges_of(face) {
-            left &= !self.faces_meeting_start(pair, left);
-        }
-        left
-    }
-
-    fn edges_meeting_start(&mut self, u: u8, wanted: u64) -> u64 {
-        let Self { met_edges, start_faces, obstruction, .. } = self;
-        let known = &mut met_edges[usize::from(u)];
-        let mut open = wanted & !known.asked;
-        known.asked |= open;
-        for &face in start_faces.iter() {
-            if open == 0 {
-                break;
-            }
-            let met = obstruction.edges_meeting(u, face, open);
-            known.met |= met;
-            open &= !met;
-        }
-        known.met
-    }
-
-    fn faces_meeting_start(&mut self, mut pair: [u8; 2], wanted: u64) -> u64 {
-        pair.sort_unstable();
-        let Self { met_faces, start_edges, obstruction, .. } = self;
-        let known = &mut met_faces[usize::from(pair[0]) * obstruction.count() + usize::from(pair[1])];
-        let mut open = wanted & !known.asked;
-        known.asked |= open;
-        for &edge in start_edges.iter() {
-            if open == 0 {
-                break;
-            }
-            let met = obstruction.faces_meeting(pair, edge, open);
-            known.met |= met;
-            open &= !met;
-        }
-        known.met
-    }
-}
-
-fn edges_of([a, b, c]: Face) -> [[u8; 2]; 3] {
-    [[a, b], [b, c], [c, a]]
 }
 
 #[cfg(test)]

@@ -457,6 +457,21 @@ mod tests {
     }
 
     #[test]
+    fn what_cannot_be_recovered_ends_with_findings() {
+        // What the input check refuses: a vertex on an edge that is no end of it, and a facet through another facet.
+        let on_edge = [[-1., 0., 0.], [1., 0., 0.], [0., 1., 0.], [0., 0., 1.], [0., 0., 0.], [0.5, -1., 0.]];
+        let through = [[-1., -1., 0.], [1., -1., 0.], [0., 1., 0.], [0., 0., -1.], [0., 0., 1.], [0., -3., 0.]];
+        for (points, facets) in [(on_edge, [[0, 1, 2], [3, 4, 5]]), (through, [[0, 1, 2], [3, 4, 5]])] {
+            let points = points.map(DVec3::from_array);
+            let facets = facets.map(|f| f.map(VertexId));
+            let (context, mut report) = (RunContext::with_threads(1).unwrap(), RecoveryReport::default());
+            let recovered = recover(enclosed_mesh(&points), &facets, &Options::default(), &context, &mut report);
+            let Err(Error::NoResult { findings, .. }) = recovered else { panic!("{:?}", report) };
+            assert!(findings.iter().all(|f| f.code == FindingCode::NotRecovered) && !findings.is_empty());
+        }
+    }
+
+    #[test]
     fn a_split_that_is_taken_back_is_whole_again() {
         let surface = cube(3);
         let context = RunContext::with_threads(1).unwrap();

@@ -43,6 +43,21 @@ impl Sides {
     }
 }
 
+/// For each number below 64 how many pairs of smaller ones there are, and how many triples.
+const PAIRS: [usize; 64] = counts_below([0; 64], 1);
+const TRIPLES: [usize; 64] = counts_below(PAIRS, 0);
+
+/// Sums of all before, each with `step` times its place added.
+const fn counts_below(of: [usize; 64], step: usize) -> [usize; 64] {
+    let mut counts = [0; 64];
+    let mut k = 1;
+    while k < 64 {
+        counts[k] = counts[k - 1] + of[k - 1] + step * (k - 1);
+        k += 1;
+    }
+    counts
+}
+
 /// The vertices of a polyhedron.
 #[derive(Debug, Default)]
 pub struct Obstruction {
@@ -71,11 +86,6 @@ impl Obstruction {
         self.points[usize::from(v)]
     }
 
-    /// Number of vertices.
-    pub fn count(&self) -> usize {
-        self.points.len()
-    }
-
     /// The vertices with which the face makes a positive tet.
     #[inline]
     pub fn above(&mut self, [a, b, c]: Face) -> u64 {
@@ -83,28 +93,19 @@ impl Obstruction {
     }
 
     #[inline]
-    fn sides(&mut self, mut a: u8, mut b: u8, mut c: u8) -> Sides {
-        let mut is_odd = false;
-        if a > b {
-            std::mem::swap(&mut a, &mut b);
-            is_odd = !is_odd;
-        }
-        if b > c {
-            std::mem::swap(&mut b, &mut c);
-            is_odd = !is_odd;
-            if a > b {
-                std::mem::swap(&mut a, &mut b);
-                is_odd = !is_odd;
-            }
-        }
-        let [i, j, k] = [a, b, c].map(usize::from);
-        let rank = k * (k - 1) * (k - 2) / 6 + j * (j - 1) / 2 + i;
+    fn sides(&mut self, a: u8, b: u8, c: u8) -> Sides {
+        // Without branches: the order of the three is anything.
+        let (low, high) = (a.min(b).min(c), a.max(b).max(c));
+        let middle = a ^ b ^ c ^ low ^ high;
+        let is_odd = (a > b) ^ (b > c) ^ (a > c);
+        let rank = TRIPLES[usize::from(high) % 64] + PAIRS[usize::from(middle) % 64] + usize::from(low);
         let mut sides = self.sides[rank];
-        if sides == Sides::UNKNOWN {
-            sides = self.sides_of([a, b, c]);
+        if sides.above & sides.below != 0 {
+            sides = self.sides_of([low, middle, high]);
             self.sides[rank] = sides;
         }
-        if is_odd { Sides { above: sides.below, below: sides.above } } else { sides }
+        let flip = (sides.above ^ sides.below) & u64::from(is_odd).wrapping_neg();
+        Sides { above: sides.above ^ flip, below: sides.below ^ flip }
     }
 
     #[cold]
@@ -178,6 +179,128 @@ impl Obstruction {
         let key = [edge[0], edge[1], face[0], face[1], face[2]];
         *coplanar.entry(key).or_insert_with(|| coplanar_segment_meets_triangle(at(edge[0]), at(edge[1]), face.map(at)))
     }
+}
+
+/// Faces and edges that new tets keep clear of, with what was found of them.
+#[derive(Debug, Default)]
+pub struct Obstacles {
+    faces: Vec<Face>,
+    edges: Vec<[u8; 2]>,
+    count: usize,
+    /// Counts for what was noted since the faces were cleared.
+    stamp: u32,
+    /// For the edges to a vertex.
+    met_edges: Vec<Known>,
+    /// For the faces at the edge of two vertices.
+    met_faces: Vec<Known>,
+    /// Whether an edge is among the edges.
+    has_edge: Vec<u32>,
+}
+
+/// With which vertices what was asked for meets the obstacles.
+#[derive(Debug, Clone, Copy, Default)]
+struct Known {
+    stamp: u32,
+    asked: u64,
+    met: u64,
+}
+
+impl Known {
+    /// The vertices that were not asked for yet; they are asked for now.
+    fn ask(&mut self, wanted: u64, stamp: u32) -> u64 {
+        if self.stamp != stamp {
+            *self = Self { stamp, ..Self::default() };
+        }
+        let unknown = wanted & !self.asked;
+        self.asked |= wanted;
+        unknown
+    }
+}
+
+impl Obstacles {
+    /// Begins with none, for a polyhedron of so many vertices.
+    pub fn reset(&mut self, count: usize) {
+        self.count = count;
+        for known in [&mut self.met_edges, &mut self.met_faces] {
+            known.clear();
+        }
+        self.met_edges.resize(count, Known::default());
+        self.met_faces.resize(count * count, Known::default());
+        self.has_edge.clear();
+        self.has_edge.resize(count * count, 0);
+        self.stamp = 0;
+        self.clear();
+    }
+
+    /// Begins with none again.
+    pub fn clear(&mut self) {
+        self.stamp += 1;
+        self.faces.clear();
+        self.edges.clear();
+    }
+
+    /// Adds a face, and those of its edges that count.
+    pub fn add(&mut self, face: Face, counts: impl Fn([u8; 2]) -> bool) {
+        self.faces.push(face);
+        for edge in edges_of(face) {
+            let slot = self.slot(edge);
+            if self.has_edge[slot] != self.stamp && counts(edge) {
+                self.has_edge[slot] = self.stamp;
+                self.edges.push(edge);
+            }
+        }
+    }
+
+    /// The faces.
+    pub fn faces(&self) -> &[Face] {
+        &self.faces
+    }
+
+    /// Whether the edge is one of those that count.
+    pub fn has_edge(&self, edge: [u8; 2]) -> bool {
+        self.has_edge[self.slot(edge)] == self.stamp
+    }
+
+    fn slot(&self, [u, v]: [u8; 2]) -> usize {
+        usize::from(u.min(v)) * self.count + usize::from(u.max(v))
+    }
+
+    /// Those of `vertices` whose tet on the face keeps clear of all obstacles, apart from shared vertices.
+    pub fn clear_of(&mut self, obstruction: &mut Obstruction, face: Face, vertices: u64) -> u64 {
+        let mut left = vertices;
+        for u in face {
+            let known = &mut self.met_edges[usize::from(u)];
+            let mut unknown = known.ask(left, self.stamp);
+            for &face in &self.faces {
+                if unknown == 0 {
+                    break;
+                }
+                let met = obstruction.edges_meeting(u, face, unknown);
+                known.met |= met;
+                unknown &= !met;
+            }
+            left &= !known.met;
+        }
+        for pair in edges_of(face) {
+            let slot = self.slot(pair);
+            let known = &mut self.met_faces[slot];
+            let mut unknown = known.ask(left, self.stamp);
+            for &edge in &self.edges {
+                if unknown == 0 {
+                    break;
+                }
+                let met = obstruction.faces_meeting(pair, edge, unknown);
+                known.met |= met;
+                unknown &= !met;
+            }
+            left &= !known.met;
+        }
+        left
+    }
+}
+
+fn edges_of([a, b, c]: Face) -> [[u8; 2]; 3] {
+    [[a, b], [b, c], [c, a]]
 }
 
 #[cfg(test)]

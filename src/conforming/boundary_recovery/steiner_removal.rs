@@ -95,9 +95,9 @@ pub fn remove_vertex(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effo
         return Ok(true);
     }
     // A search grows fast with the ball: large ones are thinned first.
-    if ball.len() <= effort.tets
-        && (fill_ball(mesh, vertex, &ball, &front, effort.steps, &mut budget)?
-            || (effort.grow && fill_grown(mesh, vertex, &ball, effort, &mut budget)?))
+    let (is_small, is_medium) = (3 * ball.len() <= 2 * effort.tets, ball.len() <= effort.tets);
+    if (is_medium && fill_ball(mesh, vertex, &ball, &front, effort.steps, &mut budget)?)
+        || (is_small && effort.grow && fill_grown(mesh, vertex, &ball, effort, &mut budget)?)
     {
         return Ok(true);
     }
@@ -107,7 +107,7 @@ pub fn remove_vertex(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effo
     let front = mesh.shape_of(&thinned).front;
     Ok(contract(mesh, vertex, &thinned, &front)?
         || fill_ball(mesh, vertex, &thinned, &front, effort.steps, &mut budget)?
-        || (effort.grow && ball.len() > effort.tets && fill_grown(mesh, vertex, &thinned, effort, &mut budget)?))
+        || (effort.grow && !is_small && fill_grown(mesh, vertex, &thinned, effort, &mut budget)?))
 }
 
 /// Fills the ball of a vertex, enlarged by neighbours, on the other vertices.
