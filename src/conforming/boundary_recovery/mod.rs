@@ -22,6 +22,18 @@
 //! # Invariants
 //! The mesh is valid after every step: exact predicates decide, and each change covers what it replaces.
 //!
+//! # Termination
+//! Recovery ends with the surface or with findings that name the places; nothing is repeated without a bound:
+//! * Crossings: no change puts a new face into the way of the edge it is made for, so that each leaves less in the way. Edges
+//!   looked at and tets placed are counted (`Effort`), passes are repeated only while they recover a tenth of what is missing.
+//! * Edges: a round splits each missing edge once; from the round `ROUNDS_OUT_OF_SIGHT` on there may be `MOST_GROWTH` times as
+//!   many missing parts as then, and there are `MOST_ROUNDS` rounds. From `ROUNDS_BY_CHOICE` on an edge is split wherever it
+//!   crosses the mesh, in place of what it crosses: with exact coordinates that always works and makes it whole at once
+//!   (`steiner_points`). Rounded coordinates put the point beside the edge, and a flat tet may refuse it; and each split brings
+//!   edges to the other vertices of its facets. So there is no proof that rounds suffice, only the bound, and the error.
+//! * Faces: `MOST_ROUNDS` splits, each with the recovery of the edges it brings. Splits that resist are taken back
+//!   `MOST_WITHDRAWALS` times; a pass over Steiner points is repeated only while it removes some.
+//!
 //! # Cost
 //! Edges and faces that the Delaunay mesh has cost one look-up. One thread; deterministic.
 
@@ -148,6 +160,10 @@ const MOST_FRUITLESS: usize = 2;
 /// Rounds of splits before the next ones go where they see the ends of their edge: that lifts many edges, and only flat tets
 /// ask for it.
 const ROUNDS_OUT_OF_SIGHT: usize = 4;
+
+/// Rounds of splits before edges are split wherever they cross the mesh: that takes the most points, and nothing but rounding
+/// can prevent it.
+const ROUNDS_BY_CHOICE: usize = 20;
 
 /// Times that the number of missing edges may grow by splits.
 const MOST_GROWTH: usize = 8;
@@ -317,6 +333,12 @@ fn recover_all_edges(
                 continue; // split together with a neighbour
             }
             volume_points::free_edge(mesh, edge);
+            if round >= ROUNDS_BY_CHOICE
+                && let Some(new) = steiner_points::split_at_all_crossings(mesh, edge)?
+            {
+                next.extend(new.into_iter().filter(|e| !mesh.has_edge(e[0], e[1])).collect::<Vec<_>>());
+                continue;
+            }
             // Parts that stay missing however short they get have to come into sight of their ends.
             let mut bridged = Bridge::Missing;
             if round >= ROUNDS_OUT_OF_SIGHT {

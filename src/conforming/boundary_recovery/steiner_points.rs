@@ -5,6 +5,7 @@
 //!    pierces it, farthest from its border. Rounding moves the point off the edge or face by less than any feature.
 //!    Where flat tets of a plane lie before an end, every part of the segment at that end stays missing: then the point
 //!    goes where it sees the end (`sight_insertion`).
+//!    At last a segment is split at all crossings, each in place of what is crossed there.
 //! 2. The point is located by a walk; the cavity grows from there over tets whose circumsphere contains the point, as long as
 //!    the point sees its whole boundary, never over a subface or around a segment.
 //!
@@ -21,6 +22,8 @@ use crate::mesh::tet_store::TetStore;
 use crate::mesh::topology::ShellTet;
 use glam::DVec3;
 
+/// Splits of one segment over its crossings at first: a point beside it by rounding may see others.
+const ROUNDING_SHARE: usize = 2;
 /// Tets that join a cavity whatever the point sees, beyond which the insertion is given up.
 const MOST_FORCED: usize = 60;
 
@@ -111,6 +114,32 @@ fn insert_at_crossing(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey) -> Result<Opt
         mesh.complex.truncate_points(count);
     }
     Ok(None)
+}
+
+/// Splits a missing segment where it crosses the mesh, and its parts in the same way until the mesh has them all; the
+/// segments that come with that, those to the facets' other vertices among them, or `None` where nothing was split.
+///
+/// A point in place of a crossing cuts the tets around it, and only their faces: what the parts cross is what the segment
+/// crossed, less the place of the point. So there are as many splits as crossings at most, but for rounding.
+///
+/// # Errors
+/// Those of vertex and tet creation.
+pub fn split_at_all_crossings(mesh: &mut ConstrainedMesh, edge: EdgeKey) -> Result<Option<Vec<EdgeKey>>> {
+    let mut most = ROUNDING_SHARE * crossed_places(mesh, edge).map_or(0, |places| places.len());
+    let mut segments = Vec::new();
+    let mut parts = vec![edge];
+    while let Some(part) = parts.pop() {
+        if most == 0 || mesh.has_edge(part[0], part[1]) {
+            continue;
+        }
+        most -= 1;
+        if let Some(steiner) = insert_at_crossing(mesh, part)? {
+            let new = mesh.split_segment(part, steiner);
+            parts.extend(&new[..2]);
+            segments.extend(new);
+        }
+    }
+    Ok((!segments.is_empty()).then_some(segments))
 }
 
 /// `hint` where it is alive, else a tet of the vertex.
@@ -400,4 +429,38 @@ fn conflict_region(
         }
     }
     cavity
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::conforming::test_meshes::enclosed_mesh;
+    use crate::conforming::test_surfaces::{chazelle, strips, twisted_prism};
+
+    #[test]
+    fn a_segment_split_at_all_crossings_is_there() {
+        // Two crossings may be one by rounding: then no point goes between them.
+        let (mut whole, mut torn, mut splits) = (0, 0, 0);
+        for surface in [twisted_prism(5, 20.0, 3), twisted_prism(3, 25.0, 1), chazelle(3, 0.1), strips(12, 50.0)] {
+            let mut mesh = ConstrainedMesh::new(enclosed_mesh(&surface.points), &surface.facets);
+            for edge in mesh.missing_segments() {
+                let crossings = crossed_places(&mesh, edge).unwrap().len();
+                let before = mesh.splits.len();
+                let Some(segments) = split_at_all_crossings(&mut mesh, edge).unwrap() else { continue };
+                // The other segments that come with a split may be missing.
+                let mut on_edge = edge.to_vec();
+                on_edge.extend(mesh.splits[before..].iter().map(|(steiner, _)| *steiner));
+                let mut parts: Vec<EdgeKey> = segments;
+                parts.retain(|s| mesh.wings.contains_key(s) && s.iter().all(|v| on_edge.contains(v)));
+                let is_whole = parts.iter().all(|part| mesh.has_edge(part[0], part[1]));
+                let count = if is_whole { &mut whole } else { &mut torn };
+                *count += 1;
+                assert!(!mesh.is_segment(edge[0], edge[1]) && on_edge.len() - 2 <= ROUNDING_SHARE * crossings);
+                splits += on_edge.len() - 2;
+            }
+            mesh.complex.check_invariants().unwrap();
+            assert!(mesh.complex.finite_tets().all(|tet| mesh.complex.is_positive(tet)));
+        }
+        assert!(splits > whole && whole > 20 * torn, "{splits} {whole} {torn}");
+    }
 }
