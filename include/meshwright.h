@@ -138,6 +138,9 @@
 /** The image border cuts a label. id: label. */
 #define MW_DIAG_LABEL_AT_IMAGE_BORDER 8
 
+/** A sub-mesh has other tunnels, cavities or pieces than its label. id: label, difference of the Euler numbers. */
+#define MW_DIAG_OTHER_TOPOLOGY 9
+
 /** A surface edge with one triangle. id: its points. */
 #define MW_DIAG_OPEN_EDGE 20
 

@@ -182,6 +182,8 @@ pub enum FindingCode {
     SmoothingStopped = 7,
     /// The image border cuts a label. `ids[0]` label.
     LabelAtImageBorder = 8,
+    /// A sub-mesh has other tunnels, cavities or pieces than its label. `ids[0]` label, `ids[1]` difference of the Euler numbers.
+    OtherTopology = 9,
     /// A surface edge with one triangle. `ids` the two vertices.
     OpenEdge = 20,
     /// A surface edge with three or more triangles where that is not allowed. `ids` the two vertices.

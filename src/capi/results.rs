@@ -147,6 +147,8 @@ pub const MW_DIAG_VOXELS_RELABELLED: i32 = 6;
 pub const MW_DIAG_SMOOTHING_STOPPED: i32 = 7;
 /// The image border cuts a label. id: label.
 pub const MW_DIAG_LABEL_AT_IMAGE_BORDER: i32 = 8;
+/// A sub-mesh has other tunnels, cavities or pieces than its label. id: label, difference of the Euler numbers.
+pub const MW_DIAG_OTHER_TOPOLOGY: i32 = 9;
 /// A surface edge with one triangle. id: its points.
 pub const MW_DIAG_OPEN_EDGE: i32 = 20;
 /// A surface edge with three or more triangles where that is not allowed. id: its points.
@@ -377,6 +379,7 @@ mod tests {
             (MW_DIAG_VOXELS_RELABELLED, FindingCode::VoxelsRelabelled),
             (MW_DIAG_SMOOTHING_STOPPED, FindingCode::SmoothingStopped),
             (MW_DIAG_LABEL_AT_IMAGE_BORDER, FindingCode::LabelAtImageBorder),
+            (MW_DIAG_OTHER_TOPOLOGY, FindingCode::OtherTopology),
             (MW_DIAG_OPEN_EDGE, FindingCode::OpenEdge),
             (MW_DIAG_NON_MANIFOLD_EDGE, FindingCode::NonManifoldEdge),
             (MW_DIAG_DUPLICATE_TRIANGLE, FindingCode::DuplicateTriangle),

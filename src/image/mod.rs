@@ -2,6 +2,7 @@
 
 pub mod connected_components;
 pub mod distance_transform;
+pub mod euler_numbers;
 pub mod gaussian;
 pub mod gradient;
 pub mod grid;
@@ -10,6 +11,7 @@ pub mod label_image;
 pub mod morphology;
 pub mod resample;
 pub mod scalar_image;
+pub mod simple_voxels;
 pub mod vector_image;
 pub mod voxel_contacts;
 pub mod voxel_image;

@@ -16,7 +16,7 @@
 //! 4. One of the cheapest is drawn at random and made; the cubes around the changed voxels are looked at again.
 //!
 //! # Source
-//! [Drakopoulos2017] 2.3.2. Euler numbers by the eight voxels around each corner [KongRosenfeld1989].
+//! [Drakopoulos2017] 2.3.2.
 //!
 //! # Differences
 //! The thesis draws from all templates; a label that shares voxels with others then gets handles and loses pieces.
@@ -31,6 +31,7 @@ use std::collections::VecDeque;
 
 use rayon::prelude::*;
 
+use crate::image::euler_numbers::{corner_contributions, euler_numbers, label_at_corner};
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
 
@@ -101,12 +102,12 @@ impl<'a> Contacts<'a> {
             budget: 0,
             random,
             changes: 0,
-            euler: euler_tables(),
+            euler: corner_contributions(),
             allowed: Vec::new(),
             changed_by,
         };
         let range = |[closed, open]: [i64; 2]| [(open - closed).min(0), (open - closed).max(0)];
-        work.allowed = work.euler_numbers().into_iter().map(range).collect();
+        work.allowed = euler_numbers(work.image).into_iter().map(|numbers| range(numbers.map(|n| 8 * n))).collect();
         work
     }
 
@@ -151,7 +152,7 @@ impl<'a> Contacts<'a> {
     /// cube of 8, of the label or of what is not of it, or an edge-only contact in a square through corner 0.
     fn find_contact(&self, at: [usize; 3]) -> Option<Contact> {
         if self.corner(at, 7).is_some() {
-            let labels: [Label; 8] = std::array::from_fn(|c| self.label_at_corner(&at.map(|x| x + 1), c));
+            let labels: [Label; 8] = std::array::from_fn(|c| label_at_corner(self.image, &at.map(|x| x + 1), c));
             for (p, q) in [(0, 7), (1, 6), (2, 5), (3, 4)] {
                 let others = || (0..8).filter(|c| *c != p && *c != q).map(|c| labels[c]);
                 let (ends, side) = (labels[p], labels[p ^ 1]);
@@ -305,48 +306,11 @@ impl<'a> Contacts<'a> {
         labels.into_iter().zip(before.into_iter().zip(after).map(difference)).collect()
     }
 
-    /// Euler numbers of all labels, 26- and 6-connected, in eighths.
-    fn euler_numbers(&self) -> Vec<[i64; 2]> {
-        let [ni, nj, nk] = self.image.grid().size();
-        let none = || vec![[0i64; 2]; self.priority.len()];
-        let add = |mut sums: Vec<[i64; 2]>, other: Vec<[i64; 2]>| {
-            sums.iter_mut().zip(other).for_each(|(s, o)| *s = [s[0] + o[0], s[1] + o[1]]);
-            sums
-        };
-        let of_layer = |mut sums: Vec<[i64; 2]>, k: usize| {
-            for corner in (0..=nj).flat_map(|j| (0..=ni).map(move |i| [i, j, k])) {
-                let mut labels: [Label; 8] = std::array::from_fn(|s| self.label_at_corner(&corner, s));
-                if labels.iter().all(|l| *l == labels[0]) {
-                    // Inside of a label the parts cancel.
-                    continue;
-                }
-                labels.sort_unstable();
-                for run in labels.chunk_by(|a, b| a == b).filter(|run| !run[0].is_background()) {
-                    let [closed, open] = self.euler_at(&[corner], run[0]);
-                    let sum = &mut sums[run[0].index()];
-                    *sum = [sum[0] + closed, sum[1] + open];
-                }
-            }
-            sums
-        };
-        // Whole numbers: the sum does not depend on the order.
-        (0..=nk).into_par_iter().fold(none, of_layer).reduce(none, add)
-    }
-
-    /// Label of one of the eight voxels at a corner; background outside of the image.
-    fn label_at_corner(&self, corner: &[usize; 3], side: usize) -> Label {
-        let step = [side & 1, side >> 1 & 1, side >> 2];
-        let voxel: [usize; 3] = std::array::from_fn(|axis| (corner[axis] + step[axis]).wrapping_sub(1));
-        let size = self.image.grid().size();
-        let is_inside = (0..3).all(|axis| voxel[axis] < size[axis]);
-        if is_inside { self.image.at(voxel[0], voxel[1], voxel[2]) } else { Label::BACKGROUND }
-    }
-
     /// Contributions of some corners to the Euler numbers of a label, 26- and 6-connected, in eighths.
     fn euler_at(&self, corners: &[[usize; 3]], label: Label) -> [i64; 2] {
         let mut sums = [0; 2];
         for corner in corners {
-            let is_set = |side: &usize| self.label_at_corner(corner, *side) == label;
+            let is_set = |side: &usize| label_at_corner(self.image, corner, *side) == label;
             let bits = (0..8).filter(is_set).fold(0, |bits, side| bits | 1usize << side);
             sums[0] += self.euler[0][bits];
             sums[1] += self.euler[1][bits];
@@ -362,28 +326,6 @@ fn corners_of(changes: &[Change]) -> Vec<[usize; 3]> {
     corners.sort_unstable();
     corners.dedup();
     corners
-}
-
-/// Contribution of a corner, with its half edges, quarter squares and eighths of voxels: closed voxels are there where any
-/// voxel around is set, open ones where all are.
-fn euler_tables() -> [[i64; 256]; 2] {
-    let mut tables = [[0; 256]; 2];
-    for bits in 0..256usize {
-        // Cells at the corner: those of the voxels that agree with `side` on the axes in `mask`; a mask of three axes is a
-        // voxel, of two a square, of one an edge, of none the corner itself.
-        for mask in 0..8usize {
-            for side in (0..8usize).filter(|side| side & !mask == 0) {
-                let mut around = (0..8usize).filter(|c| c & mask == side).map(|c| bits >> c & 1 == 1);
-                let (is_any, is_all) = (around.clone().any(|b| b), around.all(|b| b));
-                let dimension = mask.count_ones();
-                let weight = if dimension % 2 == 0 { 8 >> dimension } else { -(8 >> dimension) };
-                tables[0][bits] += if is_any { weight } else { 0 };
-                // Open cells count with the other sign: a voxel alone has Euler number 1 either way.
-                tables[1][bits] -= if is_all { weight } else { 0 };
-            }
-        }
-    }
-    tables
 }
 
 #[cfg(test)]
@@ -422,23 +364,7 @@ mod tests {
 
     /// Euler numbers of a label, 26- and 6-connected.
     fn euler(image: &LabelImage, label: u16) -> [i64; 2] {
-        let mut copy = image.clone();
-        Contacts::new(&mut copy, 1).euler_numbers()[usize::from(label)].map(|e| e / 8)
-    }
-
-    #[test]
-    fn euler_numbers_are_those_of_known_bodies() {
-        let number = |is_set: &dyn Fn([usize; 3]) -> bool| {
-            let at = |i: usize| [i % SIZE[0], i / SIZE[0] % SIZE[1], i / SIZE[0] / SIZE[1]];
-            euler(&image((0..SIZE.iter().product()).map(|i| u16::from(is_set(at(i)))).collect()), 1)
-        };
-        assert_eq!(number(&|p| p == [0, 0, 0]), [1, 1]);
-        assert_eq!(number(&|p| p == [4, 4, 4] || p == [5, 5, 4]), [1, 2]);
-        assert_eq!(number(&|p| p == [4, 4, 4] || p == [5, 5, 5]), [1, 2]);
-        let ring = |p: [usize; 3]| p[2] == 3 && p[0] < 3 && p[1] < 3 && p[..2] != [1, 1];
-        assert_eq!(number(&ring), [0, 0]);
-        let shell = |p: [usize; 3]| p.iter().all(|x| (1..4).contains(x)) && p != [2, 2, 2];
-        assert_eq!(number(&shell), [2, 2]);
+        euler_numbers(image)[usize::from(label)]
     }
 
     #[test]

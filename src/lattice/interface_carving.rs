@@ -4,7 +4,8 @@
 //! 1. The pinched vertices span a subcomplex. Every element with some of its vertices pinched is cut between them and the
 //!    others, at the middles of the edges: the inner parts are a regular neighbourhood of the subcomplex.
 //! 2. Each connected group of pinched vertices gets one label for all its inner parts: the label whose pieces the pinch
-//!    keeps apart, or that lies between two others that touch; not one that would join two components of the image.
+//!    keeps apart, or that lies between two others that touch; not one that would join two components of the image. Where Euler
+//!    numbers are to be kept, one that leaves them within reach ([`super::euler_ranges`]).
 //!
 //! ```text
 //!        a                      a
@@ -33,6 +34,7 @@
 use glam::IVec3;
 
 use crate::index::Label;
+use crate::lattice::euler_ranges::EulerRanges;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 
@@ -44,16 +46,19 @@ pub struct Regions {
     pub surplus: Vec<i64>,
 }
 
-/// Cuts the elements around the pinched vertices and labels the inner parts; returns the number of vertices treated.
+/// Cuts the elements around the pinched vertices and labels the inner parts; returns the number of vertices treated. `euler` are
+/// the Euler numbers that labels are to have, or none.
 pub fn carve(
     lattice: &mut RedGreenLattice,
     elements: &mut Elements,
     neighbors: &[[u32; 4]],
     pinched: &[u32],
     regions: &Regions,
+    euler: &[i64],
 ) -> usize {
     let vertices = lattice.vertices.positions.len();
     let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices);
+    let mut euler = (!euler.is_empty()).then(|| topology.euler_ranges(&elements.labels, euler));
     let mut group_of = vec![u32::MAX; vertices];
     let mut labels = Vec::new();
     for group in groups_of(&topology, pinched, &elements.tets) {
@@ -62,7 +67,7 @@ pub fn carve(
         if !is_even {
             continue;
         }
-        let Some(label) = label_for(&topology, &group, &elements.labels, regions) else { continue };
+        let Some(label) = label_for(&topology, &group, &elements.labels, regions, euler.as_mut()) else { continue };
         group.iter().for_each(|v| group_of[*v as usize] = labels.len() as u32);
         labels.push(label);
     }
@@ -112,7 +117,13 @@ fn has_middles(lattice: &RedGreenLattice, tet: &[u32; 4]) -> bool {
 /// The label that fills a group; `None` where each would join components of the image.
 ///
 /// Where the lattice itself does not end in a disc around a vertex, only the background is manifold as a filling.
-fn label_for(topology: &InterfaceTopology, group: &[u32], labels: &[Label], regions: &Regions) -> Option<Label> {
+fn label_for(
+    topology: &InterfaceTopology,
+    group: &[u32],
+    labels: &[Label],
+    regions: &Regions,
+    euler: Option<&mut EulerRanges>,
+) -> Option<Label> {
     let around = topology.elements_around(group);
     let mut candidates: Vec<Label> = around.iter().map(|e| labels[*e as usize]).collect();
     if group.iter().any(|v| topology.is_open(*v)) {
@@ -133,7 +144,14 @@ fn label_for(topology: &InterfaceTopology, group: &[u32], labels: &[Label], regi
     let score = |label: Label| group.iter().map(|v| topology.excess_of(*v, label, labels)).sum::<i64>();
     // The background last: a leak is closed rather than opened.
     let allowed = candidates.into_iter().filter(|l| !joins_too_much(*l));
-    allowed.max_by_key(|l| (!l.is_background(), score(*l), std::cmp::Reverse(*l)))
+    let changes = |label: Label| topology.euler_changes_by_filling(group, label, labels);
+    let off = |label: Label| euler.as_ref().map_or(0, |e| e.distance_after(&changes(label)));
+    let chosen =
+        allowed.max_by_key(|l| (std::cmp::Reverse(off(*l)), !l.is_background(), score(*l), std::cmp::Reverse(*l)));
+    if let (Some(euler), Some(label)) = (euler, chosen) {
+        euler.add(&changes(label));
+    }
+    chosen
 }
 
 /// Cuts every element with vertices in groups.

@@ -6,6 +6,7 @@
 //!    further groups, summed over the labels around it. A non-manifold edge shows at both of its ends.
 //! 2. At a vertex with excess each group of a label is tried with each other label around the vertex, and each single
 //!    element too. The change that lowers the excess of all vertices concerned most is made.
+//!    Where the Euler numbers of the image are to be kept, the one that leaves them within reach ([`super::euler_ranges`]).
 //! 3. What remains is refined by the caller.
 //!
 //! # Source
@@ -23,12 +24,13 @@ use std::collections::VecDeque;
 use rayon::prelude::*;
 
 use crate::index::Label;
+use crate::lattice::euler_ranges::{EulerNumbers, EulerRanges};
 use crate::lattice::face_adjacency::OUTSIDE;
 use crate::mesh::numbering::TET_FACES;
 
 /// Elements with labels, and what lies around their vertices.
 pub struct InterfaceTopology<'a> {
-    tets: &'a [[u32; 4]],
+    pub(super) tets: &'a [[u32; 4]],
     neighbors: &'a [[u32; 4]],
     starts: Vec<u32>,
     balls: Vec<u32>,
@@ -41,9 +43,12 @@ const MOST_COUNTED: usize = u128::BITS as usize;
 
 /// A change of labels that was found to help.
 struct Change {
-    gain: i64,
+    /// How far Euler numbers are out of their ranges afterwards, change of the excess, elements: what counts, in this order.
+    cost: (i64, i64, usize),
     elements: Vec<u32>,
     label: Label,
+    /// Changes of the Euler numbers by label.
+    euler: Vec<(Label, EulerNumbers)>,
 }
 
 impl<'a> InterfaceTopology<'a> {
@@ -71,13 +76,19 @@ impl<'a> InterfaceTopology<'a> {
         Self { tets, neighbors, starts, balls, open }
     }
 
-    fn ball(&self, vertex: u32) -> &[u32] {
+    /// Number of vertices.
+    pub(super) fn vertex_count(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// Elements around a vertex, increasing.
+    pub(super) fn ball(&self, vertex: u32) -> &[u32] {
         &self.balls[self.starts[vertex as usize] as usize..self.starts[vertex as usize + 1] as usize]
     }
 
     /// Vertices whose surfaces pinch, increasing.
     pub fn pinched(&self, labels: &[Label]) -> Vec<u32> {
-        (0..self.starts.len() as u32 - 1).into_par_iter().filter(|v| self.excess(*v, labels) > 0).collect()
+        (0..self.vertex_count() as u32).into_par_iter().filter(|v| self.excess(*v, labels) > 0).collect()
     }
 
     /// The elements around the given vertices.
@@ -89,7 +100,7 @@ impl<'a> InterfaceTopology<'a> {
     }
 
     /// Labels in a ball, increasing; background where the ball is open.
-    fn labels_around(&self, vertex: u32, labels: &[Label]) -> Vec<Label> {
+    pub(super) fn labels_around(&self, vertex: u32, labels: &[Label]) -> Vec<Label> {
         let mut around: Vec<Label> = self.ball(vertex).iter().map(|e| labels[*e as usize]).collect();
         if self.is_open(vertex) {
             around.push(Label::BACKGROUND);
@@ -245,29 +256,44 @@ impl<'a> InterfaceTopology<'a> {
     }
 
     /// Relabels elements until no change lowers the excess; returns how many elements changed. `may_take` tells whether
-    /// elements may take a label, given those of all.
-    pub fn repair(&self, labels: &mut [Label], may_take: impl Fn(&[Label], &[u32], Label) -> bool) -> usize {
+    /// elements may take a label, given those of all; `euler` are the Euler numbers that are to be kept, if any are.
+    pub fn repair(
+        &self,
+        labels: &mut [Label],
+        mut euler: Option<EulerRanges>,
+        may_take: impl Fn(&[Label], &[u32], Label) -> bool,
+    ) -> usize {
         let mut queue: VecDeque<u32> = self.pinched(labels).into();
         let mut changed = 0;
         while let Some(vertex) = queue.pop_front() {
             if self.excess(vertex, labels) == 0 {
                 continue;
             }
-            let Some(change) = self.best_change(vertex, labels, &may_take) else { continue };
-            let mut concerned: Vec<u32> = change.elements.iter().flat_map(|e| self.tets[*e as usize]).collect();
-            concerned.sort_unstable();
-            concerned.dedup();
+            let Some(change) = self.best_change(vertex, labels, euler.as_ref(), &may_take) else { continue };
+            let concerned = self.vertices_of(&change.elements);
             changed += change.elements.len();
             change.elements.iter().for_each(|e| labels[*e as usize] = change.label);
+            if let Some(euler) = &mut euler {
+                euler.add(&change.euler);
+            }
             queue.extend(concerned);
         }
         changed
+    }
+
+    /// The vertices of some elements, increasing.
+    pub(super) fn vertices_of(&self, elements: &[u32]) -> Vec<u32> {
+        let mut vertices: Vec<u32> = elements.iter().flat_map(|e| self.tets[*e as usize]).collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        vertices
     }
 
     fn best_change(
         &self,
         vertex: u32,
         labels: &mut [Label],
+        euler: Option<&EulerRanges>,
         may_take: &impl Fn(&[Label], &[u32], Label) -> bool,
     ) -> Option<Change> {
         let around = self.labels_around(vertex, labels);
@@ -286,9 +312,13 @@ impl<'a> InterfaceTopology<'a> {
                     continue;
                 }
                 let gain = self.gain(&elements, *label, labels);
-                let is_better = best.as_ref().is_none_or(|b| (gain, elements.len()) < (b.gain, b.elements.len()));
-                if gain < 0 && is_better && may_take(labels, &elements, *label) {
-                    best = Some(Change { gain, elements: elements.clone(), label: *label });
+                if gain >= 0 {
+                    continue;
+                }
+                let changes = euler.map(|_| self.euler_changes(&elements, *label, labels)).unwrap_or_default();
+                let cost = (euler.map_or(0, |e| e.distance_after(&changes)), gain, elements.len());
+                if best.as_ref().is_none_or(|b| cost < b.cost) && may_take(labels, &elements, *label) {
+                    best = Some(Change { cost, elements: elements.clone(), label: *label, euler: changes });
                 }
             }
         }
@@ -297,9 +327,7 @@ impl<'a> InterfaceTopology<'a> {
 
     /// Change of the sum of excesses when `elements` take `label`.
     pub(super) fn gain(&self, elements: &[u32], label: Label, labels: &mut [Label]) -> i64 {
-        let mut vertices: Vec<u32> = elements.iter().flat_map(|e| self.tets[*e as usize]).collect();
-        vertices.sort_unstable();
-        vertices.dedup();
+        let vertices = self.vertices_of(elements);
         let sum = |labels: &[Label]| vertices.iter().map(|v| self.excess(*v, labels)).sum::<i64>();
         let before = sum(labels);
         let old: Vec<Label> = elements.iter().map(|e| labels[*e as usize]).collect();

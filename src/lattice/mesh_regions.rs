@@ -10,7 +10,9 @@ use crate::image::connected_components::Components;
 use crate::index::Label;
 use crate::lattice::face_adjacency::OUTSIDE;
 use crate::lattice::interface_carving::Regions;
+use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
+use crate::lattice::voxel_fidelity::for_each_voxel;
 
 /// What may be joined: the region of each element, and how many regions more than the image each label has.
 pub fn joinable_regions(elements: &Elements, regions: &[(Label, Vec<u32>)], surplus: Vec<i64>) -> Regions {
@@ -32,11 +34,16 @@ pub fn surplus_of(regions: &[(Label, Vec<u32>)], image: &Components, labels: usi
 
 /// Elements connected through faces within one label; background is left out.
 pub fn regions_of(labels: &[Label], neighbors: &[[u32; 4]]) -> Vec<(Label, Vec<u32>)> {
+    regions_where(labels, neighbors, |label| !label.is_background())
+}
+
+/// Elements connected through faces within one label that passes.
+fn regions_where(labels: &[Label], neighbors: &[[u32; 4]], passes: impl Fn(Label) -> bool) -> Vec<(Label, Vec<u32>)> {
     let mut seen = vec![false; labels.len()];
     let mut regions = Vec::new();
     for start in 0..labels.len() {
         let label = labels[start];
-        if seen[start] || label.is_background() {
+        if seen[start] || !passes(label) {
             continue;
         }
         seen[start] = true;
@@ -54,6 +61,45 @@ pub fn regions_of(labels: &[Label], neighbors: &[[u32; 4]]) -> Vec<(Label, Vec<u
         regions.push((label, region));
     }
     regions
+}
+
+/// Fills the regions and closed cavities that no voxel of the image stands for, where that makes no surface pinch; returns how
+/// many elements changed.
+pub fn fill_unseen_regions(lattice: &RedGreenLattice, elements: &mut Elements, neighbors: &[[u32; 4]]) -> usize {
+    let is_seen = |e: &u32| {
+        let (own, mut any) = (elements.labels[*e as usize], false);
+        for_each_voxel(lattice, &elements.tets[*e as usize], |_, label| any |= label == own);
+        any
+    };
+    // The background around the lattice has all its voxels beyond it.
+    let is_outside =
+        |e: &u32| elements.labels[*e as usize].is_background() && neighbors[*e as usize].contains(&OUTSIDE);
+    let mut unseen = regions_where(&elements.labels, neighbors, |_| true);
+    unseen.retain(|(_, region)| !region.iter().any(|e| is_seen(e) || is_outside(e)));
+    if unseen.is_empty() {
+        return 0;
+    }
+    let topology = InterfaceTopology::new(&elements.tets, neighbors, lattice.vertices.positions.len());
+    let mut changed = 0;
+    for (own, region) in unseen {
+        let mut around: Vec<Label> =
+            region.iter().flat_map(|e| neighbors[*e as usize]).map(|n| label_of(&elements.labels, n)).collect();
+        around.retain(|label| *label != own);
+        around.sort_unstable();
+        let mut runs: Vec<(usize, Label)> = around.chunk_by(|a, b| a == b).map(|run| (run.len(), run[0])).collect();
+        runs.sort_unstable_by_key(|(faces, label)| (std::cmp::Reverse(*faces), *label));
+        let filling =
+            runs.into_iter().map(|(_, label)| label).find(|l| topology.gain(&region, *l, &mut elements.labels) <= 0);
+        if let Some(label) = filling {
+            region.iter().for_each(|e| elements.labels[*e as usize] = label);
+            changed += region.len();
+        }
+    }
+    changed
+}
+
+fn label_of(labels: &[Label], element: u32) -> Label {
+    if element == OUTSIDE { Label::BACKGROUND } else { labels[element as usize] }
 }
 
 /// Gives regions below a share of their label's volume the commonest label around them.
@@ -83,7 +129,7 @@ pub fn relabel_loose_regions(
         }
         let mut around: Vec<Label> = Vec::new();
         for near in region.iter().flat_map(|e| neighbors[*e as usize]) {
-            let other = if near == OUTSIDE { Label::BACKGROUND } else { elements.labels[near as usize] };
+            let other = label_of(&elements.labels, near);
             if other != *label {
                 around.push(other);
             }
@@ -118,6 +164,36 @@ mod tests {
             relabel_loose_regions(&lattice, &mut elements, &neighbors, 2, threshold);
             regions_of(&elements.labels, &neighbors).len()
         })
+    }
+
+    #[test]
+    fn a_bubble_without_a_voxel_is_filled_and_a_cavity_stays() {
+        // A cavity of eight voxels in a ball, and elements of background elsewhere in it that hold no voxel centre.
+        let image =
+            voxel_image(20, |p| u16::from(p.distance(DVec3::splat(9.2)) < 7.5 && (p - 8.5).abs().max_element() > 1.0));
+        with_lattice(&image, 1.0, |lattice, context| {
+            let mut elements = lattice.elements(context).unwrap();
+            let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap();
+            let before = elements.labels.clone();
+            let is_deep =
+                |e: &usize| (4.0..5.0).contains(&lattice.centroid(&elements.tets[*e]).distance(DVec3::splat(9.2)));
+            let holds_none = |e: &usize| {
+                let mut any = false;
+                for_each_voxel(&lattice, &elements.tets[*e], |_, _| any = true);
+                !any
+            };
+            let bubble = (0..before.len()).filter(is_deep).find(holds_none).unwrap();
+            elements.labels[bubble] = Label::BACKGROUND;
+            assert_eq!(fill_unseen_regions(&lattice, &mut elements, &neighbors), 1);
+            assert_eq!(elements.labels, before);
+            assert!(
+                elements
+                    .tets
+                    .iter()
+                    .zip(&before)
+                    .any(|(tet, l)| l.is_background() && lattice.centroid(tet).distance(DVec3::splat(8.5)) < 1.0)
+            );
+        });
     }
 
     #[test]

@@ -28,6 +28,7 @@ pub mod duplicated_interfaces;
 pub mod elastic_model;
 pub mod element_labels;
 pub mod element_score;
+pub mod euler_ranges;
 pub mod evaluation;
 pub mod face_adjacency;
 pub mod finishing;
@@ -62,6 +63,7 @@ pub mod surface_deformation;
 pub mod surface_stars;
 #[cfg(test)]
 mod test_images;
+pub mod topology_differences;
 #[cfg(test)]
 mod topology_tests;
 pub mod untangling;

@@ -1,0 +1,185 @@
+//! Where the mesh has other tunnels, cavities or pieces than the image: the places to refine until it has the same.
+//!
+//! # Method
+//! For each label whose surface has another Euler number in the mesh than in the image:
+//! 1. The body is the voxels of the label; its goal is the voxels that lie in elements of the label.
+//! 2. Voxels in which they differ join or leave the body as long as they are simple
+//!    ([`simple_voxels`](crate::image::simple_voxels)): the body becomes more like its goal, its topology stays.
+//! 3. What still differs then is where the topologies do. Where nothing does the difference lies between voxel centres: the
+//!    voxels that are not simple in the image are the places then, if they are few.
+//!
+//! ```text
+//!     image        goal: voxels in elements     what is left
+//!     1 1 . 1 1        1 1 . 1 1                 . . . . .
+//!     1 1 1 1 1        1 . . . 1                 . . x . .      the bridge; the corner was simple and went
+//!     1 1 . 1 1        1 1 . 1 1                 . . . . .
+//! ```
+//! # Source
+//! Our own, from homotopic thinning [KongRosenfeld1989], [BertrandMalandain1994].
+//!
+//! # Limits
+//! Voxels of a goal that touch along edges or at corners are places, too, whatever the elements do there.
+//!
+//! # Cost
+//! By the voxels at boundaries that lie in elements of other labels.
+
+use std::collections::{BTreeSet, VecDeque};
+
+use glam::IVec3;
+use rayon::prelude::*;
+use rustc_hash::{FxHashMap, FxHashSet};
+
+use crate::image::label_image::LabelImage;
+use crate::image::simple_voxels::{Block, SimpleVoxels, WHOLE_BLOCK};
+use crate::index::Label;
+use crate::lattice::euler_ranges::EulerRanges;
+use crate::lattice::face_adjacency::OUTSIDE;
+use crate::lattice::red_green::{Elements, RedGreenLattice};
+use crate::lattice::voxel_fidelity::{for_each_foreign_voxel, for_each_voxel};
+
+/// Steps through faces.
+const STEPS: [IVec3; 6] = [IVec3::X, IVec3::NEG_X, IVec3::Y, IVec3::NEG_Y, IVec3::Z, IVec3::NEG_Z];
+
+/// Elements per parallel work item.
+const CHUNK: usize = 1024;
+
+/// Share of the voxels at a label's boundary above which they are not refined for not being simple: of a wall one voxel thick
+/// none is simple. A few in a hundred are on brains.
+const FEW_FRAGILE: f64 = 0.05;
+
+/// The elements with voxels by which the topologies of labels differ, and their neighbours through faces, increasing.
+pub fn elements_at_differences(
+    lattice: &RedGreenLattice,
+    elements: &Elements,
+    neighbors: &[[u32; 4]],
+    euler: &EulerRanges,
+) -> Vec<u32> {
+    let labels = euler.differing();
+    if labels.is_empty() {
+        return Vec::new();
+    }
+    let image = lattice.field.image;
+    let of_element = |e: usize| {
+        let mut found = Vec::new();
+        let own = elements.labels[e];
+        for_each_foreign_voxel(lattice, &elements.tets[e], own, |at, label| found.push((at, [label, own])));
+        found
+    };
+    let foreign: Vec<(IVec3, [Label; 2])> = over_elements(elements, of_element);
+    let of_label = |label: &Label| {
+        let concerned = foreign.iter().filter(|(_, labels)| labels.contains(label));
+        let body = Body { image, label: *label };
+        let differing = body.what_stays(concerned.map(|(at, _)| *at).collect());
+        let is_unseen = differing.is_empty() && euler.out_of_reach(*label).is_some();
+        if is_unseen { body.fragile_voxels() } else { differing }
+    };
+    let sought: FxHashSet<IVec3> = labels.par_iter().flat_map_iter(of_label).collect();
+    let holds = |e: usize| {
+        let mut any = false;
+        for_each_voxel(lattice, &elements.tets[e], |at, _| any |= sought.contains(&at));
+        any.then_some(e as u32)
+    };
+    let met = over_elements(elements, holds);
+    let around = met.iter().flat_map(|e| neighbors[*e as usize].into_iter().filter(|n| *n != OUTSIDE).chain([*e]));
+    around.collect::<BTreeSet<u32>>().into_iter().collect()
+}
+
+/// What is found in each element, in order.
+fn over_elements<T: Send, I: IntoIterator<Item = T>>(
+    elements: &Elements,
+    find: impl Fn(usize) -> I + Sync + Send,
+) -> Vec<T> {
+    (0..elements.tets.len()).into_par_iter().with_min_len(CHUNK).flat_map_iter(find).collect()
+}
+
+/// The voxels of a label.
+struct Body<'a> {
+    image: &'a LabelImage,
+    label: Label,
+}
+
+impl Body<'_> {
+    fn has(&self, at: IVec3) -> bool {
+        let size = IVec3::from_array(self.image.grid().size().map(|s| s as i32));
+        let is_inside = at.cmpge(IVec3::ZERO).all() && at.cmplt(size).all();
+        is_inside && self.image.at(at.x as usize, at.y as usize, at.z as usize) == self.label
+    }
+
+    /// Of the voxels in which the body and its goal differ, those that cannot follow.
+    fn what_stays(&self, mut differing: Vec<IVec3>) -> Vec<IVec3> {
+        let simple = SimpleVoxels::default();
+        // Whether each has followed.
+        let mut followed: FxHashMap<IVec3, bool> = differing.iter().map(|at| (*at, false)).collect();
+        differing.sort_unstable_by_key(|at| (at.z, at.y, at.x));
+        let mut queue: VecDeque<IVec3> = differing.iter().copied().collect();
+        while let Some(at) = queue.pop_front() {
+            if followed[&at] {
+                continue;
+            }
+            let is_set = |at: IVec3| self.has(at) != followed.get(&at).is_some_and(|f| *f);
+            if simple.is_simple(block_around(at, is_set)) {
+                followed.insert(at, true);
+                queue.extend(around(at).filter(|near| followed.get(near) == Some(&false)));
+            }
+        }
+        differing.retain(|at| !followed[at]);
+        differing
+    }
+
+    /// Voxels in and beside the body that are not simple, of bridges, walls, tunnels and gaps one voxel wide; none where they are
+    /// many.
+    fn fragile_voxels(&self) -> Vec<IVec3> {
+        let simple = SimpleVoxels::default();
+        let [ni, nj, nk] = self.image.grid().size().map(|s| s as i32);
+        // Whether a voxel is simple, for those at the boundary.
+        let look_at = |at: IVec3| {
+            let block = block_around(at, |near| self.has(near));
+            (block != 0 && block != WHOLE_BLOCK).then(|| (at, simple.is_simple(block)))
+        };
+        let row =
+            |row: i32| (0..ni).filter_map(move |i| look_at(IVec3::new(i, row % nj, row / nj))).collect::<Vec<_>>();
+        let boundary: Vec<(IVec3, bool)> = (0..nj * nk).into_par_iter().flat_map_iter(row).collect();
+        // Beside the body means through a face: a voxel that touches it at a corner only is never simple, and of no bridge.
+        let is_part = |at: IVec3| self.has(at) || STEPS.iter().any(|step| self.has(at + step));
+        let is_fragile = |(at, is_simple): &&(IVec3, bool)| !is_simple && is_part(*at);
+        let fragile: Vec<IVec3> = boundary.iter().filter(is_fragile).map(|(at, _)| *at).collect();
+        let are_few = (fragile.len() as f64) < FEW_FRAGILE * boundary.len() as f64;
+        if are_few { fragile } else { Vec::new() }
+    }
+}
+
+/// The 27 voxels around and at a place.
+fn around(at: IVec3) -> impl Iterator<Item = IVec3> {
+    (0..27).map(move |b| at + IVec3::new(b % 3, b / 3 % 3, b / 9) - 1)
+}
+
+fn block_around(at: IVec3, is_set: impl Fn(IVec3) -> bool) -> Block {
+    around(at).enumerate().filter(|(_, near)| is_set(*near)).fold(0, |block, (b, _)| block | 1 << b)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lattice::test_images::voxel_image;
+
+    #[test]
+    fn what_stays_is_the_bridge_that_the_goal_has_lost() {
+        // Two blocks and a bridge of one voxel; in the goal the bridge and a layer of the left block are gone.
+        let is_bridge = |p: glam::DVec3| p.y == 5.0 && p.z == 5.0 && (4.0..8.0).contains(&p.x);
+        let is_block = |p: glam::DVec3| p.y > 2.0 && p.y < 9.0 && p.z > 2.0 && p.z < 9.0;
+        let image = voxel_image(12, |p| u16::from(is_bridge(p) || is_block(p) && !(4.0..8.0).contains(&p.x)));
+        let body = Body { image: &image, label: Label(1) };
+        let all = || (0..12).flat_map(|k| (0..12).flat_map(move |j| (0..12).map(move |i| IVec3::new(i, j, k))));
+        let lost: Vec<IVec3> = all().filter(|at| body.has(*at) && (3..8).contains(&at.x)).collect();
+        let stays = body.what_stays(lost);
+        assert!(!stays.is_empty() && stays.iter().all(|at| is_bridge(at.as_dvec3()) || at.x == 3), "{stays:?}");
+        assert!(stays.len() <= 5, "{stays:?}");
+        // Only the layer: all of it can go.
+        assert!(body.what_stays(all().filter(|at| body.has(*at) && at.x == 0).collect()).is_empty());
+        // The bridge is what is fragile, with the voxels that it ends at.
+        let fragile = body.fragile_voxels();
+        let is_of_bridge = |at: &&IVec3| is_bridge(at.with_x(at.x.clamp(4, 7)).as_dvec3()) && (3..9).contains(&at.x);
+        assert!(fragile.iter().filter(|at| body.has(**at)).all(|at| is_of_bridge(&at)), "{fragile:?}");
+        assert!((4..8).all(|x| fragile.contains(&IVec3::new(x, 5, 5))), "{fragile:?}");
+    }
+}
