@@ -45,7 +45,7 @@ use super::needle_faces::NeedleFaces;
 use super::options::Options;
 use super::parallel_reconnection::{Crowding, Driver, FLAT_BELOW, Touched, Treatment, count_of_bad};
 use super::refinement::boundary_triangles;
-use super::region_search::{RegionSearch, grade_off_boundary, may_not_stay};
+use super::region_search::{DEPTHS, RegionSearch, grade_off_boundary, may_not_stay};
 use super::smoothing::{Acceptance, SmoothingRule, Target};
 use crate::context::RunContext;
 use crate::error::Result;
@@ -564,18 +564,23 @@ impl Improver<'_> {
         if !self.options.delete_field_slivers {
             return Ok(search.counts);
         }
-        for _ in 0..LAST_ROUNDS {
-            let mut bad = self.known.tets_below(complex, self.context, &Scope::default(), grade_off_boundary());
-            bad.retain(|&tet| may_not_stay(complex, self.on_boundary, tet));
-            let mut is_better = false;
-            for tet in bad {
-                // The tet may be gone, or another in its place, by the searches before.
-                while complex.is_live(tet) && search.search(complex, sizes, self.on_boundary, tet)? {
-                    is_better = true;
+        for depth in DEPTHS {
+            for _ in 0..LAST_ROUNDS {
+                let mut bad = self.known.tets_below(complex, self.context, &Scope::default(), grade_off_boundary());
+                bad.retain(|&tet| may_not_stay(complex, self.on_boundary, tet));
+                // Those off the boundary first and as deep as can be: there are few, and nothing forces them.
+                let is_sliver = |tet: &TetId| sliver_cosine(complex.points_of(*tet)).is_some();
+                let (slivers, others): (Vec<_>, Vec<_>) = bad.into_iter().partition(is_sliver);
+                let others = others.into_iter().map(|tet| (tet, DEPTHS[1]));
+                let bad: Vec<_> = others.chain(slivers.into_iter().map(|tet| (tet, depth))).collect();
+                let before = search.counts[1];
+                for (tet, depth) in bad {
+                    // The tet may be gone, or another in its place, by the searches before.
+                    while complex.is_live(tet) && search.search(complex, sizes, self.on_boundary, (tet, depth))? {}
                 }
-            }
-            if !is_better {
-                break;
+                if search.counts[1] == before {
+                    break;
+                }
             }
         }
         Ok(search.counts)
