@@ -52,8 +52,8 @@ use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, count_voxels, mismatc
 
 /// Rounds of refinement for the sake of topology: a pinch that comes from the image's own shape is gone after two or three
 /// (edges of 4 voxels become half a voxel), one that the lattice makes anew each time never goes. On an atlas of brain lobes the
-/// last label has the image's Euler number after five.
-const TOPOLOGY_ROUNDS: u32 = 5;
+/// last label has the image's Euler number after five, where features of two voxels fill the whole image after nine.
+const TOPOLOGY_ROUNDS: u32 = 9;
 
 /// Share of the leaves below which those that are marked must not refine the whole lattice: the closure is local then. It is a
 /// few places that lack something, components of a voxel or two most often, where boundaries are whole layers of leaves. On a
