@@ -78,6 +78,8 @@ struct Score {
     bad: usize,
     /// Those of them off the boundary: none may come for a sliver.
     off: usize,
+    /// Their lowest grade: what is beyond the demanded angles may not go farther.
+    lowest_off: f64,
     /// Slivers that walls force: one may come for one that they do not.
     forced: usize,
     /// What all tets lack; says which way to go on.
@@ -89,7 +91,8 @@ struct Score {
 impl Score {
     fn is_accepted_after(&self, before: &Self) -> bool {
         let slivers = |score: &Self| score.bad + score.forced;
-        self.bad < before.bad && self.off <= before.off && slivers(self) <= slivers(before)
+        let is_better_off = self.off <= before.off && self.lowest_off >= before.lowest_off;
+        self.bad < before.bad && is_better_off && slivers(self) <= slivers(before)
     }
 
     fn is_better_than(&self, other: &Self) -> bool {
@@ -151,7 +154,7 @@ impl Region {
     }
 
     fn score(&self) -> Score {
-        let mut score = Score { bad: 0, off: 0, forced: 0, lack: 0.0, worst: None };
+        let mut score = Score { bad: 0, off: 0, lowest_off: f64::INFINITY, forced: 0, lack: 0.0, worst: None };
         let mut least = f64::INFINITY;
         for tet in self.complex.finite_tets() {
             let corners = self.complex.points_of(tet);
@@ -159,7 +162,10 @@ impl Region {
             if may_not_stay(&self.complex, &self.on_boundary, tet) {
                 score.bad += 1;
                 let is_off = |v: &VertexId| !self.on_boundary.get(v.index()).copied().unwrap_or(false);
-                score.off += usize::from(self.complex.vertices(tet).iter().all(is_off));
+                if self.complex.vertices(tet).iter().all(is_off) {
+                    score.off += 1;
+                    score.lowest_off = score.lowest_off.min(grade);
+                }
                 if grade < least {
                     (least, score.worst) = (grade, Some(tet));
                 }
