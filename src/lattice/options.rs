@@ -93,7 +93,7 @@ pub const PARAMETERS: Table = &[
         "Chooses the lattice spacing so that the mesh has about this many vertices."),
     // --- mesh topology
     row("check-mesh-topology", "checkMeshTopology", Kind::Flag, Default::Flag(false), "", "Mesh topology",
-        "Refines until the mesh of every label is manifold; needs check-image-topology."),
+        "Refines until the mesh of every label is manifold and has the pieces, tunnels and cavities of the image; needs check-image-topology."),
     row("relabel-mesh-regions-below", "thresholdToRelabelDisconnectedMeshRegions", above(0.0, 0.1), Default::Real(0.001), "fraction of the label", "Mesh topology",
         "With check-mesh-topology, disconnected mesh regions below this fraction of their label's volume take a neighbour's label, unless a component of the image would vanish."),
     times(row("duplicate-interface", "", Kind::Text, Default::Unset, "", "Mesh topology",
