@@ -48,7 +48,7 @@ use crate::lattice::region_gaps::elements_at_gaps;
 use crate::lattice::report::Report;
 use crate::lattice::subdivision_criteria::{Deficit, Targets, finest_level, mark_leaves};
 use crate::lattice::topology_differences::elements_at_differences;
-use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, count_voxels, mismatches, recounted};
+use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, mismatches, recounted};
 
 /// Rounds of refinement for the sake of topology: a pinch that comes from the image's own shape is gone after two or three
 /// (edges of 4 voxels become half a voxel), one that the lattice makes anew each time never goes. On an atlas of brain lobes the
@@ -100,7 +100,8 @@ pub fn refine(
         )
     });
     let distance = distance?;
-    let totals = count_voxels(input.image.voxels(), input.values.len());
+    let count = |image: u64| LabelCount { image, ..LabelCount::default() };
+    let totals = input.image.voxel_counts().into_iter().map(count).collect();
     let field = Field::new(input.image, &distance);
     context.progress("lattice", progress_shares::BEGUN);
     let mut lattice = report.timed("lattice", || RedGreenLattice::new(frame, field, options.max_elements, context))?;

@@ -31,8 +31,7 @@ pub fn evaluate_quality(mesh: &MixedMesh, context: &RunContext) -> Statistics {
 pub fn evaluate_volume(mesh: &MixedMesh, image: &LabelImage) -> Statistics {
     let mut statistics = Statistics::default();
     let voxel = image.grid().spacing().element_product() * image.grid().direction().determinant().abs();
-    let mut voxels = vec![0u64; image.label_count()];
-    image.voxels().iter().for_each(|l| voxels[l.index()] += 1);
+    let voxels = image.voxel_counts();
     let mut volumes = vec![0.0; image.label_count()];
     let mut total = 0.0;
     for e in 0..mesh.element_count() {

@@ -201,20 +201,3 @@ impl LabelCount {
         if covered == 0.0 { 0.0 } else { (common / covered).min(common / self.image as f64) }
     }
 }
-
-/// Voxels per label of an image.
-pub fn count_voxels(voxels: &[Label], labels: usize) -> Vec<LabelCount> {
-    let partial: Vec<Vec<u64>> = voxels
-        .par_chunks(1 << 20)
-        .map(|chunk| {
-            let mut counts = vec![0u64; labels];
-            chunk.iter().for_each(|l| counts[l.index()] += 1);
-            counts
-        })
-        .collect();
-    let mut counts = vec![LabelCount::default(); labels];
-    for part in partial {
-        counts.iter_mut().zip(part).for_each(|(count, n)| count.image += n);
-    }
-    counts
-}

@@ -140,11 +140,10 @@ fn describe_image(image: &VoxelImage) -> Map<String, Value> {
         && let Ok(labels) = image.to_label_image()
         && labels.label_count() <= LISTED_LABELS
     {
-        let mut counts = vec![0u64; labels.label_count()];
-        labels.voxels().iter().for_each(|l| counts[l.index()] += 1);
         let volume = grid.spacing().element_product() * grid.direction().determinant().abs();
         object.insert("voxel_volume".into(), json!(volume));
-        let counted = labels.values().iter().zip(counts).map(|(value, n)| (value.to_string(), json!(n))).collect();
+        let counted =
+            labels.values().iter().zip(labels.voxel_counts()).map(|(value, n)| (value.to_string(), json!(n))).collect();
         object.insert("labels".into(), Value::Object(counted));
     }
     object
