@@ -419,41 +419,12 @@ impl RegionSearch {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::conforming::test_meshes::random_mesh;
-
-    /// Constrains some faces inside the mesh.
-    fn add_walls(complex: &mut TetComplex) {
-        for number in (0..complex.slot_count()).step_by(11) {
-            let side = TetFace::new(TetId::from_index(number), number % 4);
-            let is_inside = complex.is_live(side.tet())
-                && !complex.is_ghost_tet(side.tet())
-                && !complex.is_ghost_tet(complex.neighbor(side).tet());
-            if is_inside {
-                for side in [side, complex.neighbor(side)] {
-                    complex.set_flags(side.tet(), complex.flags(side.tet()).with_face(side.face(), true));
-                }
-            }
-        }
-    }
-
-    fn walls(complex: &TetComplex) -> Vec<[VertexId; 3]> {
-        let sides = complex.finite_tets().flat_map(|tet| (0..4).map(move |face| TetFace::new(tet, face)));
-        let mut faces: Vec<_> = sides
-            .filter(|side| complex.is_face_constrained(*side))
-            .map(|side| {
-                let mut face = complex.face_vertices(side);
-                face.sort_unstable();
-                face
-            })
-            .collect();
-        faces.sort_unstable();
-        faces
-    }
+    use crate::conforming::test_meshes::{add_walls, random_mesh, walls};
 
     #[test]
     fn a_region_goes_back_as_it_came() {
         let mut complex = random_mesh(7, 300);
-        add_walls(&mut complex);
+        add_walls(&mut complex, 11);
         let (before, count) = (walls(&complex), complex.live_count());
         let mut sizes = vec![1.0; 300];
         let tet = complex.finite_tets().nth(100).unwrap();
@@ -468,7 +439,7 @@ mod tests {
     #[test]
     fn searching_leaves_fewer_slivers_and_keeps_walls() {
         let mut complex = random_mesh(3, 300);
-        add_walls(&mut complex);
+        add_walls(&mut complex, 11);
         let before = walls(&complex);
         // All vertices that are there count as the boundary's: only slivers may not stay.
         let on_boundary = vec![true; 300];

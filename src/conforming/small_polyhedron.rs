@@ -495,7 +495,7 @@ mod tests {
     use super::*;
     use crate::conforming::flip_criteria::BiasedSine;
     use crate::conforming::flips::{commit, plan_edge_removal, plan_face_removal};
-    use crate::conforming::test_meshes::random_mesh;
+    use crate::conforming::test_meshes::{add_walls, random_mesh, walls};
     use crate::mesh::tet_complex::TetComplex;
     use crate::mesh::topology::ShellTet;
 
@@ -514,31 +514,8 @@ mod tests {
     fn polyhedra_help_where_no_flip_does_and_keep_held_faces() {
         let mut complex = random_mesh(5, 400);
         complex.push_point(DVec3::ZERO).unwrap();
-        let held = |complex: &TetComplex| -> Vec<_> {
-            let sides = complex.finite_tets().flat_map(|tet| (0..4).map(move |face| TetFace::new(tet, face)));
-            let mut faces: Vec<_> = sides
-                .filter(|side| complex.is_face_constrained(*side))
-                .map(|side| {
-                    let mut face = complex.face_vertices(side);
-                    face.sort_unstable();
-                    face
-                })
-                .collect();
-            faces.sort_unstable();
-            faces
-        };
-        for number in (0..complex.slot_count()).step_by(7) {
-            let side = TetFace::new(TetId::from_index(number), number % 4);
-            let is_inside = complex.is_live(side.tet())
-                && !complex.is_ghost_tet(side.tet())
-                && !complex.is_ghost_tet(complex.neighbor(side).tet());
-            if is_inside {
-                for side in [side, complex.neighbor(side)] {
-                    complex.set_flags(side.tet(), complex.flags(side.tet()).with_face(side.face(), true));
-                }
-            }
-        }
-        let before = held(&complex);
+        add_walls(&mut complex, 7);
+        let before = walls(&complex);
         let (mut scratch, mut flips) = (PolyhedronScratch::default(), FlipScratch::default());
         let worst = |complex: &TetComplex| -> Vec<TetId> {
             let grade = |tet: &TetId| BiasedSine.grade(complex.points_of(*tet));
@@ -574,7 +551,7 @@ mod tests {
         }
         complex.check_invariants().unwrap();
         complex.check_orientation().unwrap();
-        assert_eq!(held(&complex), before, "constrained faces stay");
+        assert_eq!(walls(&complex), before, "constrained faces stay");
         let lost = (0..400).filter(|&v| complex.tet_of(VertexId(v)) == TetId::NONE).count();
         assert!(lost <= removed, "{lost} vertices lost, {removed} removed");
         assert!(helped > 0 && helped < tried, "{helped} of {tried}");

@@ -5,7 +5,7 @@ use glam::DVec3;
 use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, tetrahedralize};
 use crate::conforming::enclosure::enclosing_corners;
 use crate::context::RunContext;
-use crate::index::{Label, TetId};
+use crate::index::{Label, TetFace, TetId, VertexId};
 use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
 
@@ -29,4 +29,34 @@ pub fn enclosed_mesh(points: &[DVec3]) -> TetComplex {
     let all: Vec<DVec3> = points.iter().copied().chain(enclosing_corners(points)).collect();
     let options = DelaunayOptions { order: PointOrder::Input, ..Default::default() };
     tetrahedralize(&all, &options, &RunContext::with_threads(1).unwrap()).unwrap().complex
+}
+
+/// Constrains some faces inside the mesh: one in every `step` tets.
+pub fn add_walls(complex: &mut TetComplex, step: usize) {
+    for number in (0..complex.slot_count()).step_by(step) {
+        let side = TetFace::new(TetId::from_index(number), number % 4);
+        let is_inside = complex.is_live(side.tet())
+            && !complex.is_ghost_tet(side.tet())
+            && !complex.is_ghost_tet(complex.neighbor(side).tet());
+        if is_inside {
+            for side in [side, complex.neighbor(side)] {
+                complex.set_flags(side.tet(), complex.flags(side.tet()).with_face(side.face(), true));
+            }
+        }
+    }
+}
+
+/// The constrained faces, sorted; each from both sides.
+pub fn walls(complex: &TetComplex) -> Vec<[VertexId; 3]> {
+    let sides = complex.finite_tets().flat_map(|tet| (0..4).map(move |face| TetFace::new(tet, face)));
+    let mut faces: Vec<_> = sides
+        .filter(|side| complex.is_face_constrained(*side))
+        .map(|side| {
+            let mut face = complex.face_vertices(side);
+            face.sort_unstable();
+            face
+        })
+        .collect();
+    faces.sort_unstable();
+    faces
 }

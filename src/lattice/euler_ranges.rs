@@ -11,8 +11,8 @@
 //! [KongRosenfeld1989] for the two readings, of voxels there.
 //!
 //! # Limits
-//! The sum over the mesh counts: a tunnel too many in one place and one too few in another are not seen here
-//! ([`super::topology_differences`] sees them).
+//! The sum over the mesh counts: a tunnel too many in one place and one too few in another hide each other, also from
+//! [`super::topology_differences`], which looks at labels whose sums differ.
 
 use rayon::prelude::*;
 

@@ -121,3 +121,12 @@ fn matched(chunks: &[(Vec<Side>, Vec<u32>)], bucket: usize, width: usize) -> Res
     }
     Ok(pairs)
 }
+
+/// Some elements and their neighbours through faces, increasing.
+pub fn with_neighbors(elements: &[u32], neighbors: &[[u32; 4]]) -> Vec<u32> {
+    let beside = |e: &u32| neighbors[*e as usize].into_iter().filter(|n| *n != OUTSIDE).chain([*e]);
+    let mut all: Vec<u32> = elements.iter().flat_map(beside).collect();
+    all.sort_unstable();
+    all.dedup();
+    all
+}

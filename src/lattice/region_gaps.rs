@@ -24,7 +24,7 @@ use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::index::Label;
-use crate::lattice::face_adjacency::OUTSIDE;
+use crate::lattice::face_adjacency::with_neighbors;
 use crate::lattice::interface_carving::Regions;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::voxel_fidelity::for_each_voxel;
@@ -33,7 +33,7 @@ use crate::lattice::voxel_fidelity::for_each_voxel;
 const NONE: u32 = u32::MAX;
 
 /// Steps along the axes.
-const STEPS: [IVec3; 6] = [IVec3::X, IVec3::NEG_X, IVec3::Y, IVec3::NEG_Y, IVec3::Z, IVec3::NEG_Z];
+pub const STEPS: [IVec3; 6] = [IVec3::X, IVec3::NEG_X, IVec3::Y, IVec3::NEG_Y, IVec3::Z, IVec3::NEG_Z];
 
 /// The elements at gaps of labels that are in too many pieces, in increasing order.
 pub fn elements_at_gaps(
@@ -60,9 +60,9 @@ pub fn elements_at_gaps(
         let region = regions.of_element[*e];
         any || (region != NONE && is_broken(elements.labels[*e]) && !has_voxel[region as usize])
     };
-    let met: Vec<usize> = (0..elements.tets.len()).into_par_iter().with_min_len(1024).filter(touches_gap).collect();
-    let around = met.iter().flat_map(|e| neighbors[*e].into_iter().filter(|n| *n != OUTSIDE).chain([*e as u32]));
-    around.collect::<BTreeSet<u32>>().into_iter().collect()
+    let elements = (0..elements.tets.len()).into_par_iter().with_min_len(1024);
+    let met: Vec<u32> = elements.filter(touches_gap).map(|e| e as u32).collect();
+    with_neighbors(&met, neighbors)
 }
 
 /// Offset of a voxel in the image.

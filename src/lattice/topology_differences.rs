@@ -23,7 +23,7 @@
 //! # Cost
 //! By the voxels at boundaries that lie in elements of other labels.
 
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::VecDeque;
 
 use glam::IVec3;
 use rayon::prelude::*;
@@ -33,12 +33,10 @@ use crate::image::label_image::LabelImage;
 use crate::image::simple_voxels::{Block, SimpleVoxels, WHOLE_BLOCK};
 use crate::index::Label;
 use crate::lattice::euler_ranges::EulerRanges;
-use crate::lattice::face_adjacency::OUTSIDE;
+use crate::lattice::face_adjacency::with_neighbors;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
+use crate::lattice::region_gaps::STEPS;
 use crate::lattice::voxel_fidelity::{for_each_foreign_voxel, for_each_voxel};
-
-/// Steps through faces.
-const STEPS: [IVec3; 6] = [IVec3::X, IVec3::NEG_X, IVec3::Y, IVec3::NEG_Y, IVec3::Z, IVec3::NEG_Z];
 
 /// Elements per parallel work item.
 const CHUNK: usize = 1024;
@@ -80,8 +78,7 @@ pub fn elements_at_differences(
         any.then_some(e as u32)
     };
     let met = over_elements(elements, holds);
-    let around = met.iter().flat_map(|e| neighbors[*e as usize].into_iter().filter(|n| *n != OUTSIDE).chain([*e]));
-    around.collect::<BTreeSet<u32>>().into_iter().collect()
+    with_neighbors(&met, neighbors)
 }
 
 /// What is found in each element, in order.

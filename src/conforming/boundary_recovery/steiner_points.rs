@@ -324,46 +324,57 @@ fn star_cavity(
     marks: &mut CavityMarks,
 ) -> std::result::Result<Cavity, Vec<TetId>> {
     marks.begin(mesh.complex.slot_count());
-    let most = forced.len() + MOST_FORCED;
     let mut cavity = forced;
     cavity.iter().for_each(|&tet| *marks.known(tet) |= INSIDE);
     // What the tets that have to be there hide has to go as well.
+    let mut added = 0;
+    let is_whole = grow(mesh, &mut cavity, marks, |side, other, marks| {
+        let is_inside = other != TetFace::NONE && marks.is_inside(other.tet());
+        if is_inside || !marks.hides(mesh, side, point) {
+            return Some(false);
+        }
+        let closed = other == TetFace::NONE || mesh.is_subface(side) || mesh.complex.is_ghost_tet(other.tet());
+        added += 1;
+        (!closed && added <= MOST_FORCED + 1).then_some(true)
+    });
+    if !is_whole {
+        return Err(conflict_region(mesh, point, cavity, marks));
+    }
+    if !mesh.shape_of(&cavity).segments.is_empty() {
+        return Err(conflict_region(mesh, point, cavity, marks));
+    }
+    // A tet that was refused is looked at again when another one beside it joins.
+    grow(mesh, &mut cavity, marks, |_, other, marks| {
+        Some(other != TetFace::NONE && may_join(mesh, point, other.tet(), marks))
+    });
+    let front = mesh.shape_of(&cavity).front;
+    Ok((cavity, front))
+}
+
+/// Adds tets beside the cavity, told by a face of it and what is behind, as long as some join; false where `joins` gives up.
+fn grow(
+    mesh: &ConstrainedMesh,
+    cavity: &mut Vec<TetId>,
+    marks: &mut CavityMarks,
+    mut joins: impl FnMut(TetFace, TetFace, &mut CavityMarks) -> Option<bool>,
+) -> bool {
     let mut next = 0;
     while next < cavity.len() {
         let tet = cavity[next];
         next += 1;
         for side in (0..4).map(|face| TetFace::new(tet, face)) {
             let other = mesh.complex.neighbor(side);
-            let is_inside = other != TetFace::NONE && marks.is_inside(other.tet());
-            if is_inside || !marks.hides(mesh, side, point) {
-                continue;
-            }
-            let closed = other == TetFace::NONE || mesh.is_subface(side) || mesh.complex.is_ghost_tet(other.tet());
-            if closed || cavity.len() > most {
-                return Err(conflict_region(mesh, point, cavity, marks));
-            }
-            *marks.known(other.tet()) |= INSIDE;
-            cavity.push(other.tet());
-        }
-    }
-    if !mesh.shape_of(&cavity).segments.is_empty() {
-        return Err(conflict_region(mesh, point, cavity, marks));
-    }
-    // A tet that was refused is looked at again when another one beside it joins.
-    next = 0;
-    while next < cavity.len() {
-        let tet = cavity[next];
-        next += 1;
-        for side in (0..4).map(|face| TetFace::new(tet, face)) {
-            let other = mesh.complex.neighbor(side);
-            if other != TetFace::NONE && may_join(mesh, point, other.tet(), marks) {
-                *marks.known(other.tet()) |= INSIDE;
-                cavity.push(other.tet());
+            match joins(side, other, marks) {
+                Some(true) => {
+                    *marks.known(other.tet()) |= INSIDE;
+                    cavity.push(other.tet());
+                }
+                Some(false) => {}
+                None => return false,
             }
         }
     }
-    let front = mesh.shape_of(&cavity).front;
-    Ok((cavity, front))
+    true
 }
 
 /// Whether the circumsphere of a tet beside the cavity contains the point, which then sees all the cavity's border still, and
@@ -412,22 +423,13 @@ fn conflict_region(
     mut cavity: Vec<TetId>,
     marks: &mut CavityMarks,
 ) -> Vec<TetId> {
-    let mut next = 0;
-    while next < cavity.len() {
-        let tet = cavity[next];
-        next += 1;
-        for side in (0..4).map(|face| TetFace::new(tet, face)) {
-            let other = mesh.complex.neighbor(side);
-            let open = other != TetFace::NONE
-                && !mesh.is_subface(side)
-                && !marks.is_inside(other.tet())
-                && !mesh.complex.is_ghost_tet(other.tet());
-            if open && marks.conflicts(mesh, other.tet(), point) {
-                *marks.known(other.tet()) |= INSIDE;
-                cavity.push(other.tet());
-            }
-        }
-    }
+    grow(mesh, &mut cavity, marks, |side, other, marks| {
+        let open = other != TetFace::NONE
+            && !mesh.is_subface(side)
+            && !marks.is_inside(other.tet())
+            && !mesh.complex.is_ghost_tet(other.tet());
+        Some(open && marks.conflicts(mesh, other.tet(), point))
+    });
     cavity
 }
 
