@@ -17,7 +17,8 @@
 //! Vertex `i` of the complex is point `i`, bit for bit. The set of tets is unique (symbolic perturbation): it depends
 //! neither on the order of insertion nor on the thread count; their numbers do, unless they are to be reproducible.
 //! # Cost
-//! O(n log n) expected for what surfaces and volumes look like. Peak about 37 B a tet and 40 B a point.
+//! O(n log n) expected for what surfaces and volumes look like. Peak about 37 B a tet and 40 B a point, 48 B a tet where the
+//! numbers are to be reproducible.
 //! # Limits
 //! Coordinates up to 1e60 in magnitude: fifth powers have to stay finite.
 
@@ -26,13 +27,13 @@ use std::time::Instant;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::cavity::{Cavity, Insertion};
+use super::cavity::{Arithmetic, Cavity, Insertion};
+use super::delaunay_numbering::VertexNames;
 use super::kernel_mesh::{ExclusiveMesh, KernelMesh, KernelRows, StoredPoint};
 use super::point_location::{Location, locate};
 use super::{delaunay_numbering, delaunay_parallel};
 use crate::context::RunContext;
 use crate::error::{Error, Finding, FindingCode, Result, Severity};
-use crate::geometry::fixed_point::FixedPoint;
 use crate::geometry::predicates::{are_collinear, orient3d};
 use crate::geometry::spatial_sort::{brio_order, hilbert_order, mix};
 use crate::index::{TetFace, TetId, VertexId};
@@ -134,10 +135,12 @@ fn run(points: &[DVec3], options: &DelaunayOptions, context: &RunContext) -> Res
     report.insertion_seconds = clock.elapsed().as_secs_f64();
     report.exact_tests += kernel.cavity.exact_tests;
     let clock = Instant::now();
-    // Where no round is large enough for threads, there is only one way.
-    let renumber = options.numbers == TetNumbers::Reproducible && kernel.has_large_round(2);
+    // Where no round is large enough for threads, or they are not used, there is only one way.
+    let is_shared = options.order == PointOrder::Spatial && kernel.has_large_round(2);
+    let renumber = options.numbers == TetNumbers::Reproducible && is_shared;
     let Kernel { rows, duplicates, .. } = kernel;
-    let (complex, duplicates) = hand_over(points, stored, rows, duplicates, renumber)?;
+    let places = renumber.then(|| insertion_places(points.len(), options.seed));
+    let (complex, duplicates) = hand_over(points, stored, rows, duplicates, places)?;
     report.conversion_seconds = clock.elapsed().as_secs_f64();
     Ok(Delaunay { complex, duplicates, report })
 }
@@ -193,8 +196,7 @@ pub(super) struct Kernel<'a> {
     pub rows: KernelRows,
     pub cavity: Cavity,
     pub duplicates: Vec<(VertexId, VertexId)>,
-    pub extent: DVec3,
-    pub fixed: Option<FixedPoint>,
+    pub arithmetic: Arithmetic,
     pub context: &'a RunContext,
     hint: TetId,
     first_simplex: [usize; 4],
@@ -211,7 +213,7 @@ impl<'a> Kernel<'a> {
         let first_simplex = first_simplex(points, &order)?;
         let low = points.iter().fold(DVec3::INFINITY, |low, p| low.min(p.point));
         let high = points.iter().fold(DVec3::NEG_INFINITY, |high, p| high.max(p.point));
-        let fixed = FixedPoint::for_magnitude(low.abs().max(high.abs()).max_element());
+        let arithmetic = Arithmetic::new(points.iter().map(|p| p.point), low, high);
         let mut rows = KernelRows::with_capacity((points.len() as f64 * EXPECTED_TETS) as usize + 64)?;
         let corners = first_simplex.map(|i| VertexId(order[i]));
         make_first_tets(&mut ExclusiveMesh { points, rows: &mut rows }, corners);
@@ -220,10 +222,9 @@ impl<'a> Kernel<'a> {
             order,
             round_ends,
             rows,
-            cavity: Cavity::new(high - low, fixed),
+            cavity: Cavity::new(arithmetic),
             duplicates: Vec::new(),
-            extent: high - low,
-            fixed,
+            arithmetic,
             context,
             hint: TetId(0),
             first_simplex,
@@ -265,7 +266,7 @@ impl<'a> Kernel<'a> {
             }
             let vertex = VertexId(self.order[i]);
             let point = mesh.point(vertex);
-            match locate(&mesh, point, self.hint) {
+            match locate(&mesh, point, self.hint, &self.cavity.granularity()) {
                 Location::Vertex(kept) => self.duplicates.push((vertex, kept)),
                 Location::Tet(tet) => match self.cavity.insert(&mut mesh, vertex, tet) {
                     Insertion::Inserted(tet) => self.hint = tet,
@@ -351,19 +352,25 @@ fn make_first_tets<M: KernelMesh>(mesh: &mut M, corners: [VertexId; 4]) {
     }
 }
 
+/// For each place in storage one more than that in the order of insertion.
+fn insertion_places(count: usize, seed: u64) -> Vec<u32> {
+    let (order, _) = brio_order(count, seed);
+    let mut places = vec![0; count];
+    for (place, &stored) in (1..).zip(&order) {
+        places[stored as usize] = place;
+    }
+    places
+}
+
 /// Step 4. Of equal points the first one in the input is kept.
 fn hand_over(
     points: &[DVec3],
     stored: Vec<StoredPoint>,
     mut rows: KernelRows,
     duplicates: Vec<(VertexId, VertexId)>,
-    renumber: bool,
+    places: Option<Vec<u32>>,
 ) -> Result<(TetComplex, Vec<(VertexId, VertexId)>)> {
-    rows.compact();
-    if renumber {
-        unify_equal_points(&mut rows, &duplicates);
-        delaunay_numbering::renumber(&mut rows.halves[1..], stored.len());
-    }
+    let places = places.map(|places| unify_equal_points(places, &duplicates));
     let mut to_input: Vec<VertexId> = stored.iter().map(|p| VertexId(p.input)).collect();
     drop(stored);
     let mut first_of = rustc_hash::FxHashMap::default();
@@ -382,28 +389,34 @@ fn hand_over(
     let mut duplicates: Vec<_> = duplicates.into_iter().map(|(_, input, first)| (input, first)).collect();
     duplicates.sort_unstable();
     duplicates.dedup();
-    let mut halves = rows.halves;
-    drop(rows.marks);
-    let input = |v: u32| if v == u32::MAX { VertexId::GHOST } else { to_input[v as usize] };
-    halves[1..].par_chunks_exact_mut(2).with_min_len(HANDED_OVER).for_each(|row| row[0] = row[0].map(|v| input(v).0));
+    let input = |v: u32| if v == u32::MAX { v } else { to_input[v as usize].0 };
+    if let Some(places) = places {
+        drop(std::mem::take(&mut rows.marks));
+        let mut names = vec![VertexId::GHOST.0; places.len() + 1];
+        for (stored, &place) in places.iter().enumerate() {
+            names[place as usize] = to_input[stored].0;
+        }
+        delaunay_numbering::renumber(&mut rows.halves, &VertexNames { places: &places, names: &names });
+    } else {
+        rows.compact();
+        let rows = rows.halves[1..].par_chunks_exact_mut(2).with_min_len(HANDED_OVER);
+        rows.for_each(|row| row[0] = row[0].map(input));
+    }
     drop(to_input);
-    let complex = TetComplex::from_rows(points.to_vec(), halves)?;
+    let complex = TetComplex::from_rows(points.to_vec(), rows.halves)?;
     Ok((complex, duplicates))
 }
 
-/// Which of equal points is a vertex depends on the order: from here on it is the first in storage.
-fn unify_equal_points(rows: &mut KernelRows, duplicates: &[(VertexId, VertexId)]) {
-    let mut first_of = rustc_hash::FxHashMap::default();
+/// Which of equal points is a vertex depends on the threads: all of them get the place of the one that is inserted first.
+fn unify_equal_points(mut places: Vec<u32>, duplicates: &[(VertexId, VertexId)]) -> Vec<u32> {
+    // All duplicates of a point name the same vertex.
     for (duplicate, kept) in duplicates {
-        let first = first_of.entry(kept.0).or_insert(kept.0);
-        *first = (*first).min(duplicate.0);
+        places[kept.index()] = places[kept.index()].min(places[duplicate.index()]);
     }
-    if first_of.is_empty() {
-        return;
+    for (duplicate, kept) in duplicates {
+        places[duplicate.index()] = places[kept.index()];
     }
-    for vertices in rows.halves[1..].chunks_exact_mut(2).flat_map(|row| &mut row[0]) {
-        *vertices = *first_of.get(vertices).unwrap_or(vertices);
-    }
+    places
 }
 
 #[cfg(test)]

@@ -241,10 +241,10 @@ fn insert_pass(
         let (held, ready, set_aside) = (Vec::new(), Vec::new(), Vec::new());
         jobs.push(SharedMesh { points, halves, marks, claims, holder, held, free, ready, set_aside });
     }
-    let (context, extent, fixed) = (kernel.context, kernel.extent, kernel.fixed);
+    let (context, arithmetic) = (kernel.context, kernel.arithmetic);
     let work = |mesh: SharedMesh<'_>| {
         let member = queue.join(mesh.holder as usize);
-        let part = insert_part(mesh, member, Cavity::new(extent, fixed), hints, context);
+        let part = insert_part(mesh, member, Cavity::new(arithmetic), hints, context);
         if part.is_err() {
             queue.stop();
         }
@@ -320,7 +320,7 @@ fn insert_one(mesh: &mut SharedMesh<'_>, cavity: &mut Cavity, vertex: VertexId, 
     let point = mesh.point(vertex);
     for attempt in 0..ATTEMPTS {
         let start = if starts[0] == TetId::NONE { starts[1] } else { starts[attempt % 2] };
-        let tet = match locate(mesh, point, start) {
+        let tet = match locate(mesh, point, start, &cavity.granularity()) {
             Location::Vertex(kept) => return Attempt::Duplicate(kept),
             Location::Lost => continue,
             Location::Tet(tet) => tet,

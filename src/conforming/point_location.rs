@@ -18,7 +18,8 @@
 use glam::DVec3;
 
 use super::kernel_mesh::KernelMesh;
-use crate::geometry::predicates::{offset_orientation, orient3d};
+use crate::geometry::granularity::Granularity;
+use crate::geometry::predicates::{offset_orientation_in, orient3d};
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_FACES;
 
@@ -36,8 +37,8 @@ pub(super) enum Location {
 /// Steps after which a walk among the changes of other threads is given up; the longest of millions took a tenth.
 const SHARED_STEPS: usize = 1 << 14;
 
-/// Walks from `start` to `point`.
-pub(super) fn locate<M: KernelMesh>(mesh: &M, point: DVec3, start: TetId) -> Location {
+/// Walks from `start` to `point`, in a point set of this granularity.
+pub(super) fn locate<M: KernelMesh>(mesh: &M, point: DVec3, start: TetId, granularity: &Granularity) -> Location {
     let mut tet = start;
     let mut vertices = mesh.vertices(tet);
     if let Some(ghost) = vertices.iter().position(|v| v.is_ghost()) {
@@ -76,7 +77,7 @@ pub(super) fn locate<M: KernelMesh>(mesh: &M, point: DVec3, start: TetId) -> Loc
                 continue;
             }
             let [a, b, c] = TET_FACES[face];
-            let rough = offset_orientation(offsets[a], offsets[b], offsets[c]);
+            let rough = offset_orientation_in(granularity, offsets[a], offsets[b], offsets[c]);
             if rough.unwrap_or_else(|| orient3d(points[a], points[b], points[c], point)) > 0.0 {
                 let next = mesh.neighbors(tet)[face];
                 if M::IS_SHARED && next == TetFace::NONE {

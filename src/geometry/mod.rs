@@ -8,6 +8,7 @@ pub mod aabb_tree;
 pub mod bounding_box;
 pub mod double_double;
 pub mod fixed_point;
+pub mod granularity;
 pub mod intersection;
 pub mod perturbation;
 pub mod point_grid;

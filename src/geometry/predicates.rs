@@ -13,6 +13,8 @@
 //! 2. Semi-static filter: its error is below a constant times the product of the largest relative coordinates by
 //!    axis (and the largest squared distance). A caller that knows the extent of all its points can put the same
 //!    bound of the extent in front ([`insphere_error_bound`]), which costs one comparison.
+//!    Points that are known to lie on a grid of few bits need no more: there the determinant is exact
+//!    ([`super::granularity`]).
 //! 3. In-sphere only: the same determinant with about 100 bits ([`super::double_double`]), which decides all but true
 //!    coincidences. A caller that knows the largest coordinate can put whole numbers in front ([`super::fixed_point`]),
 //!    which decide those too.
@@ -23,10 +25,11 @@
 //! The sign is exact, zero included, for coordinates whose products neither overflow nor underflow. The magnitude is
 //! the determinant's up to rounding.
 
-use glam::DVec3;
+use glam::{BVec3, DVec3};
 use robust::Coord3D;
 
 use super::double_double::DoubleDouble;
+use super::granularity::Granularity;
 
 /// Half an ulp of 1.
 const EPSILON: f64 = f64::EPSILON / 2.0;
@@ -64,11 +67,16 @@ pub fn orient3d(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
 /// [`orient3d`] of three points given relative to the fourth, or `None` where floating point cannot decide.
 #[inline]
 pub fn offset_orientation(p: DVec3, q: DVec3, r: DVec3) -> Option<f64> {
+    offset_orientation_in(&Granularity::NONE, p, q, r)
+}
+
+/// The same for points of a known granularity.
+#[inline]
+pub fn offset_orientation_in(granularity: &Granularity, p: DVec3, q: DVec3, r: DVec3) -> Option<f64> {
     let det = -p.dot(q.cross(r));
     let largest = p.abs().max(q.abs()).max(r.abs());
-    let product = largest.x * largest.y * largest.z;
-    let bound = ORIENT_FACTOR * product + UNDERFLOW_GUARD;
-    if det > bound || det < -bound {
+    let bound = orient_error_bound(largest);
+    if det > bound || det < -bound || granularity.makes_orientation_exact(bound) {
         Some(det)
     } else if largest.min_element() == 0.0 {
         // A difference is zero only between equal numbers: the points share a coordinate plane.
@@ -76,6 +84,21 @@ pub fn offset_orientation(p: DVec3, q: DVec3, r: DVec3) -> Option<f64> {
     } else {
         None
     }
+}
+
+/// [`orient3d`] of points of a known granularity.
+#[inline]
+pub fn orient3d_in(granularity: &Granularity, a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
+    match offset_orientation_in(granularity, a - d, b - d, c - d) {
+        Some(det) => det,
+        None => orient3d_exact(a, b, c, d),
+    }
+}
+
+/// A bound of the error of an orientation whose differences are at most `largest` by axis.
+#[inline]
+pub fn orient_error_bound(largest: DVec3) -> f64 {
+    ORIENT_FACTOR * (largest.x * largest.y * largest.z) + UNDERFLOW_GUARD
 }
 
 /// The plane of three points, for the sides of many others: [`orient3d`] with what does not change kept.
@@ -128,7 +151,7 @@ pub fn insphere(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
 #[cold]
 #[inline(never)]
 pub fn insphere_exact(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
-    if are_box_corners([a, b, c, d, e]) {
+    if are_box_corners(&[a, b, c, d, e]) {
         return 0.0;
     }
     let (det, bound) = insphere_extended(a, b, c, d, e);
@@ -140,18 +163,15 @@ pub fn insphere_exact(a: DVec3, b: DVec3, c: DVec3, d: DVec3, e: DVec3) -> f64 {
 
 /// Whether five points are corners of one box along the axes, and so exactly on one sphere: what grids are full of.
 #[inline]
-pub fn are_box_corners(points: [DVec3; 5]) -> bool {
-    (0..3).all(|axis| {
-        let first = points[0][axis];
-        let mut second = first;
-        points[1..].iter().all(|p| {
-            let value = p[axis];
-            if value != first && second == first {
-                second = value;
-            }
-            value == first || value == second
-        })
-    })
+pub fn are_box_corners(points: &[DVec3; 5]) -> bool {
+    let (low, high) = corners_of_box(points);
+    points.iter().all(|p| p.cmpeq(low) | p.cmpeq(high) == BVec3::TRUE)
+}
+
+/// The box of five points.
+#[inline]
+pub fn corners_of_box([a, b, c, d, e]: &[DVec3; 5]) -> (DVec3, DVec3) {
+    (a.min(*b).min(c.min(*d)).min(*e), a.max(*b).max(c.max(*d)).max(*e))
 }
 
 /// The determinant with about 100 bits, and a bound of its error.
@@ -295,14 +315,14 @@ mod tests {
     fn corners_of_a_box_are_found() {
         let corner = |i: usize| DVec3::new([0.1, 0.3][i & 1], [7.7, -3.0][i >> 1 & 1], [0.7, 1e-9][i >> 2]);
         let five = [0, 3, 5, 6, 7].map(corner);
-        assert!(are_box_corners(five));
+        assert!(are_box_corners(&five));
         assert_eq!(
             -robust::insphere(coord(five[0]), coord(five[1]), coord(five[2]), coord(five[3]), coord(five[4])),
             0.0
         );
         let mut moved = five;
         moved[4].y = 0.5;
-        assert!(!are_box_corners(moved));
+        assert!(!are_box_corners(&moved));
     }
 
     #[test]
