@@ -206,6 +206,18 @@ pub fn part_score(corners: [DVec3; 4], part: Part) -> f64 {
     part.weighted(tet_score(corners))
 }
 
+/// The lowest [`part_score`] of some tets, infinite for none; the angle is taken once.
+pub fn lowest_score(tets: impl Iterator<Item = ([DVec3; 4], Part)>) -> f64 {
+    let (mut own, mut scaffold) = (None::<Worst>, None::<Worst>);
+    for (corners, part) in tets {
+        let of_part = if part == Part::Mesh { &mut own } else { &mut scaffold };
+        let worst = worst_of_tet(corners);
+        *of_part = Some(of_part.map_or(worst, |known| known.join(worst)));
+    }
+    let score = |worst: Option<Worst>, part: Part| worst.map_or(f64::INFINITY, |worst| part.weighted(worst.score()));
+    score(own, Part::Mesh).min(score(scaffold, Part::Scaffold))
+}
+
 /// Whether [`part_score`] is below a threshold; cheaper than the score.
 #[inline]
 pub fn part_fails(corners: [DVec3; 4], part: Part, threshold: &Threshold) -> bool {
@@ -366,6 +378,17 @@ mod tests {
         for n in -1000..=1000 {
             let cosine = f64::from(n) / 1000.0;
             assert!((angle_of(cosine) - cosine.acos().to_degrees()).abs() < 5e-6, "{cosine}");
+        }
+    }
+
+    #[test]
+    fn the_lowest_score_of_a_group_is_that_of_its_worst_tet() {
+        assert_eq!(lowest_score(std::iter::empty()), f64::INFINITY);
+        let flattened = |by: f64| REGULAR.map(|p| DVec3::new(p.x, p.z, by * p.y));
+        for (by, part) in [(0.3, Part::Mesh), (-0.3, Part::Mesh), (0.3, Part::Scaffold), (-0.3, Part::Scaffold)] {
+            let tets = [(flattened(1.0), Part::Mesh), (flattened(by), part), (flattened(0.8), Part::Mesh)];
+            let expected = tets.iter().map(|(tet, part)| part_score(*tet, *part)).fold(f64::INFINITY, f64::min);
+            assert_eq!(lowest_score(tets.into_iter()), expected, "{by} {part:?}");
         }
     }
 

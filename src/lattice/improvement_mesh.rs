@@ -19,7 +19,7 @@ use crate::index::{Label, VertexId};
 use crate::lattice::boundary_targets::SourcePoints;
 use crate::lattice::candidate_mesh::{CandidateMesh, MergeableCube};
 use crate::lattice::change_log::ChangeLog;
-use crate::lattice::element_score::{Ball, Part, Threshold, part_fails, part_score};
+use crate::lattice::element_score::{Ball, Part, Threshold, lowest_score, part_fails, part_score};
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::lattice::surface_stars::SurfaceStars;
 use crate::mesh::numbering::TET_FACES;
@@ -257,7 +257,7 @@ impl<'a> ImprovementMesh<'a> {
 
     /// Lowest score in a group of tets.
     pub fn lowest(&self, tets: &[u32]) -> f64 {
-        tets.iter().map(|t| self.score(*t)).fold(f64::INFINITY, f64::min)
+        lowest_score(tets.iter().map(|t| (self.corners(*t), self.part(*t))))
     }
 
     /// Fills `ball` with the tets of a vertex.

@@ -211,6 +211,10 @@ pub fn improve(
     }
     summary.undone =
         undo_low(&mut work, lattice, LEAST.max(options.min_dihedral_angle), slack, &mut summary.counts, context)?;
+    if summary.undone > 0 {
+        // The least is far below the aim.
+        raise_last(&mut work, options, voxel, &mut summary.counts, context)?;
+    }
     for _ in 0..options.laplacian_iterations {
         context.check()?;
         (0..work.points.len() as u32).for_each(|v| {

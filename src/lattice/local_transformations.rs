@@ -27,8 +27,8 @@
 use glam::DVec3;
 
 use crate::index::Label;
-use crate::lattice::element_score::{Part, Threshold, part_fails, tet_score};
-use crate::lattice::improvement_mesh::{ImprovementMesh, part_of};
+use crate::lattice::element_score::{Part, Threshold, lowest_score, part_fails, tet_score};
+use crate::lattice::improvement_mesh::{ImprovementMesh, ordered_rest, part_of};
 use crate::lattice::scaffold::SCAFFOLD_ANGLE;
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::vertex_optimization::optimize_vertex;
@@ -101,7 +101,7 @@ pub fn transform(mesh: &mut ImprovementMesh, t: u32, slack: f64, counts: &mut Tr
 
 /// Lowest score of tets of one label, also where that is the scaffold's.
 fn lowest_shape(mesh: &ImprovementMesh, tets: &[u32]) -> f64 {
-    tets.iter().map(|t| tet_score(mesh.corners(*t))).fold(f64::INFINITY, f64::min)
+    lowest_score(tets.iter().map(|t| (mesh.corners(*t), Part::Mesh)))
 }
 
 /// Makes a nearly flat tet of the scaffold better, so that its vertices can move.
@@ -363,6 +363,10 @@ fn split_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, slack: f64) -> bool {
         return false;
     }
     let needed = mesh.lowest(&shell) + LEAST_GAIN;
+    // The angle of a tet at the edge opposite to the split one is shared by its two halves, wherever the new vertex goes.
+    if shell.iter().any(|t| mesh.part(*t) == Part::Mesh && 0.5 * opposite_angle(mesh, *t, a, b) < needed) {
+        return false;
+    }
     let sides = sides_of_edge(mesh, a, b, &shell);
     let mut middle = mesh.points[a as usize].midpoint(mesh.points[b as usize]);
     if !sides.is_empty() {
@@ -372,6 +376,15 @@ fn split_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, slack: f64) -> bool {
         middle = place;
     }
     insert_in_edge(mesh, [a, b], &shell, middle, sides, |mesh, m| optimize_vertex(mesh, m, ENOUGH, slack) > needed)
+}
+
+/// Dihedral angle of a tet at the edge opposite to a b, degrees.
+fn opposite_angle(mesh: &ImprovementMesh, t: u32, a: u32, b: u32) -> f64 {
+    let [c, d] = ordered_rest(mesh.tets[t as usize], a, b).map(|v| mesh.points[v as usize]);
+    let [a, b] = [a, b].map(|v| mesh.points[v as usize]);
+    let along = d - c;
+    let [p, q] = [a - c, b - c].map(|side| along.cross(side));
+    p.angle_between(q).to_degrees()
 }
 
 /// Splits an edge, whose tets are `shell`, by a new vertex of the given sides; keeps it where `is_good` says so.
@@ -475,6 +488,29 @@ mod tests {
     use crate::lattice::scaffold::Scaffold;
     use crate::lattice::subvoxel_surface::SubvoxelSurface;
     use crate::lattice::test_images::voxel_image;
+
+    #[test]
+    fn no_split_scores_more_than_half_the_angle_opposite_to_its_edge() {
+        // A flat tet alone; the edge 0 1 is split at places all over it.
+        let points = vec![DVec3::ZERO, DVec3::new(1.0, 0.2, 0.1), DVec3::new(0.4, 0.9, 0.0), DVec3::new(0.6, 0.5, 0.3)];
+        let image = voxel_image(6, |_| 1);
+        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
+        let tets = vec![[0, 1, 2, 3].map(VertexId)];
+        let mut mesh =
+            CandidateMesh { points: points.clone(), tets, tet_labels: vec![Label(1)], ..CandidateMesh::default() };
+        let work = ImprovementMesh::new(&mut mesh, &SourcePoints::default(), surface);
+        let bound = 0.5 * opposite_angle(&work, 0, 0, 1);
+        assert!((bound - 0.5 * opposite_angle(&work, 0, 1, 0)).abs() < 1e-9);
+        let mut best = f64::NEG_INFINITY;
+        for n in 0..1000 {
+            let weights = [n % 10, n / 10 % 10, n / 100, 5].map(|w| f64::from(w) + 0.5);
+            let sum: f64 = weights.iter().sum();
+            let m = points.iter().zip(weights).map(|(p, w)| *p * (w / sum)).sum::<DVec3>();
+            let halves = [[m, points[1], points[2], points[3]], [points[0], m, points[2], points[3]]];
+            best = halves.map(tet_score).into_iter().fold(f64::INFINITY, f64::min).max(best);
+        }
+        assert!(best > 0.5 * bound && best <= bound + 1e-4, "{best} {bound}");
+    }
 
     #[test]
     fn the_middle_of_an_edge_in_a_border_plane_stays_there_where_only_the_scaffold_has_faces_in_it() {
