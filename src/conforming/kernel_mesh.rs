@@ -125,6 +125,12 @@ impl KernelRows {
                 self.halves[2 * other.tet().index() + 2][other.face()] = TetFace::new(hole, face).0;
             }
         }
+        self.trim();
+    }
+
+    /// Gives back the free slots at the end.
+    pub fn trim(&mut self) {
+        let mut end = self.slots();
         while end > 0 && self.is_free(end - 1) {
             end -= 1;
         }

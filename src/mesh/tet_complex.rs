@@ -26,7 +26,7 @@ use rustc_hash::FxHashSet;
 use super::mixed_mesh::{ElementKind, MixedMesh};
 use super::numbering::TET_FACES;
 use super::tet_flags::TetFlags;
-use super::tet_store::TetStore;
+use super::tet_store::{TetStore, has_ghost};
 use crate::error::{Error, Result};
 use crate::index::{Label, TetFace, TetId, VertexId};
 
@@ -188,14 +188,26 @@ impl TetComplex {
     /// Points every vertex to one of its live tets, a finite one where there is one.
     pub fn rebuild_vertex_tets(&mut self) {
         self.vertex_tet.fill(TetId::NONE);
-        for ghost_pass in [true, false] {
-            for i in 0..self.tet_flags.len() {
-                let row = self.vertices(TetId::from_index(i));
-                if self.tet_flags[i].is_deleted() || row.contains(&VertexId::GHOST) != ghost_pass {
-                    continue;
-                }
-                for v in row.iter().filter(|v| !v.is_ghost()) {
-                    self.vertex_tet[v.index()] = TetId::from_index(i);
+        let mut ghosts = Vec::new();
+        for i in 0..self.tet_flags.len() {
+            let (tet, row) = (TetId::from_index(i), self.vertices(TetId::from_index(i)));
+            if self.tet_flags[i].is_deleted() {
+                continue;
+            }
+            if has_ghost(row) {
+                ghosts.push(tet);
+                continue;
+            }
+            for v in row {
+                self.vertex_tet[v.index()] = tet;
+            }
+        }
+        // A ghost tet only where there is no other.
+        for tet in ghosts {
+            for v in self.vertices(tet).into_iter().filter(|v| !v.is_ghost()) {
+                let known = self.vertex_tet[v.index()];
+                if known == TetId::NONE || self.is_ghost_tet(known) {
+                    self.vertex_tet[v.index()] = tet;
                 }
             }
         }
