@@ -464,9 +464,6 @@ struct Accepted {
     place: TetId,
 }
 
-/// How many times the boundary's field the size of a new point is at most: as far as an edge may be longer than the sizes
-/// of its ends (`cdff`).
-const MOST_EXCESS: f64 = 1.5;
 /// The least share of the size interpolated at a new point that it gets. Ahead of a small facet among large ones the local
 /// front is much finer than the sizes of its vertices; points that follow it would crowd there, all edges too short.
 const LEAST_SHARE: f64 = 0.5;
@@ -486,7 +483,7 @@ fn filter(
             let interpolated = interpolated_size(complex, sizes, tet, candidate.point, options.size_minimum_weight);
             let found = boundary.at(complex, tet, candidate.point, options.size_minimum_weight);
             let (of_boundary, place) = found.unwrap_or((f64::INFINITY, TetId::NONE));
-            let local = interpolated.min(MOST_EXCESS * of_boundary);
+            let local = interpolated.min(of_boundary);
             let wanted = local.min(options.growth_rate * candidate.scale).max(LEAST_SHARE * local);
             let size = if is_free { Ok(wanted) } else { field.bounded_in(complex.label(tet), candidate.point, wanted) };
             let size = match size {
