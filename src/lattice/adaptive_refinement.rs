@@ -37,7 +37,7 @@ use crate::lattice::image_contacts::ImageContacts;
 use crate::lattice::interface_carving::carve;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::mesh_regions::{
-    fill_unseen_regions, joinable_regions, regions_of, relabel_loose_regions, surplus_of,
+    component_counts, fill_unseen_regions, joinable_regions, regions_of, relabel_loose_regions, surplus_of,
 };
 use crate::lattice::missed_voxels::mark_missed_voxels;
 use crate::lattice::mixed_elements::{self, SurfaceCount};
@@ -114,7 +114,7 @@ pub fn refine(
         None => Vec::new(),
     };
     let smooths = options.smoothing_iterations > 0;
-    let mut rounds = Rounds { input, components, totals, euler, smooths, report, context };
+    let mut rounds = Rounds { input, components, totals, face_components: None, euler, smooths, report, context };
     let elements = rounds.run(&mut lattice)?;
     report.set("lattice.level", f64::from(lattice.deepest_level()));
     report.set("lattice.spacing", input.spacing);
@@ -140,6 +140,8 @@ struct Rounds<'a> {
     input: &'a RefinementInput<'a>,
     components: Components,
     totals: Vec<LabelCount>,
+    /// How many pieces each label has in the image, once somebody asked.
+    face_components: Option<Vec<i64>>,
     /// Euler numbers of the labels in the image, where sub-meshes are to have the same; else none.
     euler: Vec<i64>,
     /// Whether surfaces are smoothed afterwards: then pinches are in the way.
@@ -340,7 +342,7 @@ impl Rounds<'_> {
         let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
         let pinched = topology.pinched(&elements.labels);
         let regions = regions_of(&elements.labels, &neighbors);
-        let surplus = surplus_of(&regions, &self.face_components(), labels);
+        let surplus = self.surplus(&regions);
         let mut marked = vec![false; lattice.tets.len()];
         if limit.rounds_left > 0 {
             let mut mark = |e: u32| {
@@ -364,7 +366,8 @@ impl Rounds<'_> {
         let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
         self.tell_topology(lattice, elements, &topology);
         self.tell_euler_numbers(&topology.euler_ranges(&elements.labels, &self.euler));
-        self.tell_regions(&surplus_of(&regions_of(&elements.labels, &neighbors), &self.face_components(), labels));
+        let surplus = self.surplus(&regions_of(&elements.labels, &neighbors));
+        self.tell_regions(&surplus);
         Ok((marked, found))
     }
 
@@ -381,9 +384,10 @@ impl Rounds<'_> {
         if changed == 0 { Ok(found) } else { self.recount(&found, &unchanged, lattice, elements) }
     }
 
-    /// Components of the image through faces: what a label may have at most.
-    fn face_components(&self) -> Components {
-        Components::new(self.input.image, Connectivity::Face, Members::Foreground)
+    /// Regions of each label more than the image has, found there once.
+    fn surplus(&mut self, regions: &[(Label, Vec<u32>)]) -> Vec<i64> {
+        let (image, labels) = (self.input.image, self.input.values.len());
+        surplus_of(regions, self.face_components.get_or_insert_with(|| component_counts(image, labels)))
     }
 
     /// Carves what still pinches; returns neighbours and mismatches afterwards.
@@ -402,7 +406,7 @@ impl Rounds<'_> {
                 break;
             }
             let regions = regions_of(&elements.labels, &neighbors);
-            let surplus = surplus_of(&regions, &self.face_components(), self.input.values.len());
+            let surplus = self.surplus(&regions);
             let joinable = joinable_regions(elements, &regions, surplus);
             let carved = carve(lattice, elements, &neighbors, &pinched, &joinable, &self.euler);
             self.report.add("topology.carved_vertices", carved as f64);

@@ -6,7 +6,8 @@
 //! # Invariants
 //! Regions are in the order of their first element.
 
-use crate::image::connected_components::Components;
+use crate::image::connected_components::{Components, Connectivity, Members};
+use crate::image::label_image::LabelImage;
 use crate::index::Label;
 use crate::lattice::face_adjacency::OUTSIDE;
 use crate::lattice::interface_carving::Regions;
@@ -23,10 +24,17 @@ pub fn joinable_regions(elements: &Elements, regions: &[(Label, Vec<u32>)], surp
     Regions { of_element, surplus }
 }
 
-/// Regions of each label in the mesh minus its components in the image.
-pub fn surplus_of(regions: &[(Label, Vec<u32>)], image: &Components, labels: usize) -> Vec<i64> {
-    let mut surplus = vec![0i64; labels];
-    image.components().iter().for_each(|c| surplus[c.label.index()] -= 1);
+/// Components of each label in the image through faces: what its mesh may have at most.
+pub fn component_counts(image: &LabelImage, labels: usize) -> Vec<i64> {
+    let mut counts = vec![0; labels];
+    let components = Components::new(image, Connectivity::Face, Members::Foreground);
+    components.components().iter().for_each(|c| counts[c.label.index()] += 1);
+    counts
+}
+
+/// Regions of each label in the mesh minus its components in the image ([`component_counts`]).
+pub fn surplus_of(regions: &[(Label, Vec<u32>)], in_image: &[i64]) -> Vec<i64> {
+    let mut surplus: Vec<i64> = in_image.iter().map(|count| -count).collect();
     regions.iter().for_each(|(label, _)| surplus[label.index()] += 1);
     surplus[Label::BACKGROUND.index()] = 0;
     surplus

@@ -125,10 +125,9 @@ fn gap_voxels(lattice: &RedGreenLattice, of_voxel: &mut [u32], is_broken: impl F
 mod tests {
     use super::*;
     use crate::context::RunContext;
-    use crate::image::connected_components::{Components, Connectivity, Members};
     use crate::image::label_image::LabelImage;
     use crate::lattice::face_adjacency::neighbors_of;
-    use crate::lattice::mesh_regions::{joinable_regions, regions_of, surplus_of};
+    use crate::lattice::mesh_regions::{component_counts, joinable_regions, regions_of, surplus_of};
     use crate::lattice::test_images::{voxel_image, with_lattice};
     use glam::DVec3;
 
@@ -157,9 +156,8 @@ mod tests {
             let is_in_ball = center.distance(LEFT).min(center.distance(RIGHT)) < 6.5;
             *label = Label(u16::from(is_in_ball));
         }
-        let components = Components::new(image, Connectivity::Face, Members::Foreground);
         let found = regions_of(&elements.labels, &neighbors);
-        let surplus = surplus_of(&found, &components, 2);
+        let surplus = surplus_of(&found, &component_counts(image, 2));
         assert_eq!(surplus[1], 1);
         let regions = joinable_regions(&elements, &found, surplus);
         let marked = elements_at_gaps(&lattice, &elements, &neighbors, &regions);
