@@ -8,8 +8,7 @@
 //!    neighbours, and the rows go to their new places. Free slots are left out.
 //!
 //! A tet is made when the last of its vertices is inserted, so that its group stands near its old slot: the order depends
-//! on the set of tets only, and nearly every access is near the one before. Groups by places on the curve took twice the time
-//! on surfaces, where the vertices of a tet lie far apart.
+//! on the set of tets only, and nearly every access is near the one before. Groups by places on the curve were no faster.
 //!
 //! # Invariants
 //! The set of tets is the same before and after; equal sets get equal rows in equal order.
