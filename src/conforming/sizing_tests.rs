@@ -56,6 +56,36 @@ fn a_background_mesh_decides_sizes_where_it_lies() {
     assert!(beyond > 0.12, "{beyond}");
 }
 
+/// Logarithm to base 2 of edge length by wanted size, averaged over the edges of the tets whose corners are all `within`.
+fn average_excess(mesh: &MixedMesh, within: impl Fn(DVec3) -> bool, wanted: impl Fn(DVec3) -> f64) -> f64 {
+    let (mut sum, mut count) = (0.0, 0usize);
+    for tet in mesh.tets().unwrap().iter().filter(|tet| tet.iter().all(|v| within(mesh.points[v.index()]))) {
+        let corners = tet.map(|v| mesh.points[v.index()]);
+        for (i, j) in [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)] {
+            sum += (corners[i].distance(corners[j]) / wanted(corners[i].midpoint(corners[j]))).log2();
+            count += 1;
+        }
+    }
+    assert!(count > 1000, "tets off the surface");
+    sum / count as f64
+}
+
+#[test]
+fn sizes_between_a_fine_and_a_coarse_sphere_are_those_between_theirs() {
+    let (outer, inner) = (sphere(4), mapped(&sphere(4), |p| 0.1 * p));
+    let lengths = outer.facets.iter().map(|[a, b, _]| outer.points[a.index()].distance(outer.points[b.index()]));
+    let edge = lengths.sum::<f64>() / outer.facets.len() as f64;
+    let surface = joined(&[outer, inner]);
+    let context = RunContext::with_threads(1).unwrap();
+    let mesh = meshed(&surface, &Sizing::default(), &context).unwrap();
+    // Linear in the radius, and in proportion to it.
+    let factor = Options::default().size_factor;
+    let between = |p: DVec3| p.length() > 0.15 && p.length() < 0.85;
+    let excess = average_excess(&mesh, between, |p| factor * edge * p.length());
+    // Measured 0.011; 0.068 where sizes may be 1.5 times those.
+    assert!(excess.abs() < 0.04, "{excess}");
+}
+
 #[test]
 fn a_source_surface_gives_sizes_and_no_facets() {
     let outer = cube(6);
