@@ -261,14 +261,8 @@ impl Cavity {
             let apex_row = lifted(mesh, apex, point);
             let conflict = if is_finite && !apex.is_ghost() {
                 let [a, b, c] = triangle.map(|corner| &self.vertices.rows[corner as usize]);
-                match self.arithmetic.filtered([a, b, c, &apex_row]) {
-                    Filtered::Inside => true,
-                    Filtered::Outside => false,
-                    undecided => {
-                        self.exact_tests += 1;
-                        self.arithmetic.decide(undecided, other.map(|v| mesh.point(v)), point)
-                    }
-                }
+                let points = || other.map(|v| mesh.point(v));
+                self.arithmetic.is_in_sphere([a, b, c, &apex_row], points, point, &mut self.exact_tests)
             } else {
                 self.has_conflict(mesh, point, side.tet(), &other)?
             };
@@ -321,14 +315,8 @@ impl Cavity {
     ) -> Result<bool, Insertion> {
         let Some(ghost) = vertices.iter().position(|v| v.is_ghost()) else {
             let [a, b, c, d] = vertices.map(|v| lifted(mesh, v, point));
-            return Ok(match self.arithmetic.filtered([&a, &b, &c, &d]) {
-                Filtered::Inside => true,
-                Filtered::Outside => false,
-                undecided => {
-                    self.exact_tests += 1;
-                    self.arithmetic.decide(undecided, vertices.map(|v| mesh.point(v)), point)
-                }
-            });
+            let points = || vertices.map(|v| mesh.point(v));
+            return Ok(self.arithmetic.is_in_sphere([&a, &b, &c, &d], points, point, &mut self.exact_tests));
         };
         let [a, b, c] = TET_FACES[ghost].map(|i| mesh.point(vertices[i]));
         // The ghost lies on the positive side of its hull face turned over.
@@ -430,6 +418,26 @@ enum Filtered {
 }
 
 impl Arithmetic {
+    /// Whether the sphere of a tet contains the point. The first array has its vertices relative to the point; `points` are
+    /// asked for where the filters cannot decide, and such cases counted.
+    #[inline(always)]
+    fn is_in_sphere(
+        &self,
+        relative: [&LiftedPoint; 4],
+        points: impl FnOnce() -> [DVec3; 4],
+        point: DVec3,
+        exact_tests: &mut u64,
+    ) -> bool {
+        match self.filtered(relative) {
+            Filtered::Inside => true,
+            Filtered::Outside => false,
+            undecided => {
+                *exact_tests += 1;
+                self.decide(undecided, points(), point)
+            }
+        }
+    }
+
     /// Of a tet whose vertices are relative to the point.
     #[inline(always)]
     fn filtered(&self, [a, b, c, d]: [&LiftedPoint; 4]) -> Filtered {
