@@ -6,7 +6,7 @@
 //!    the difference would vanish, by a few relaxation steps over the areas between labels.
 //! 2. Surface vertices relax along their surface and onto it, one color after another
 //!    ([`surface_stars`](crate::lattice::surface_stars)); vertices of low score inside follow.
-//! 3. The tets below the wanted score are gone through from the worst: their inner vertices are optimised, local
+//! 3. The tets below the wanted score are gone through by classes from the worst: their inner vertices are optimised, local
 //!    transformations are tried on what is still low; in the last rounds surface vertices are optimised too.
 //!
 //! Last passes take what is still low once more, and let its surface vertices off their surface by a little more each time.
@@ -115,6 +115,9 @@ const ROOM: f64 = 6.0;
 
 /// Score that every tet must reach, degrees: dihedral angles of 12 to 160.
 const LEAST: f64 = 12.1;
+
+/// Width of a class of tets that are worked on in the order of their numbers, degrees.
+const SCORE_CLASS: f64 = 4.0;
 
 /// Tets, or vertices, per part of a sum.
 const SUM_CHUNK: usize = 1 << 16;
@@ -239,7 +242,7 @@ fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunC
         // No vertex of the set is in the ball of another: all see the same places, whoever is first.
         let plan = |ball: &mut Ball, v: &u32| plan_relaxation(work, *v, &bound, ball).map(|place| (*v, place));
         let moves: Vec<(u32, DVec3)> =
-            set.par_iter().with_min_len(128).map_init(Ball::default, plan).flatten_iter().collect();
+            set.par_iter().with_min_len(32).map_init(Ball::default, plan).flatten_iter().collect();
         moves.into_iter().for_each(|(v, place)| work.points[v as usize] = place);
     }
     let threshold = Threshold::of(wanted);
@@ -361,14 +364,15 @@ fn low_among(
     low
 }
 
-/// Goes through tets of low score in the given order.
+/// Goes through tets of low score, the worst classes first, within a class along the mesh: what is near is in the cache.
 fn raise_low_tets(
     mesh: &mut ImprovementMesh,
-    low: Vec<(f64, u32)>,
+    mut low: Vec<(f64, u32)>,
     effort: &Effort,
     mut counts: Option<&mut TransformationCounts>,
     context: &RunContext,
 ) -> Result<()> {
+    low.sort_unstable_by_key(|(score, t)| ((score.max(0.0) / SCORE_CLASS) as u32, *t));
     for (at, (_, t)) in low.into_iter().enumerate() {
         if at % 256 == 0 {
             context.check()?;

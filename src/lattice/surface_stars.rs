@@ -4,7 +4,8 @@
 //! 1. A vertex is stale when a tet of it was replaced. [`SurfaceStars::refresh`] takes the faces of stale vertices anew, in
 //!    parallel, and appends them to one array; when most of that is out of date the array is made anew.
 //! 2. Stale vertices get the smallest color that no vertex they share a tet with has: vertices of one color can be moved at
-//!    the same time, since none is in the ball of another.
+//!    the same time, since none is in the ball of another. Sweeps take the colors of a block of vertices after each other,
+//!    then those of the next block.
 //!
 //! # Invariants
 //! Stars and colors depend on the mesh and on the replacements so far, not on the number of threads.
@@ -24,6 +25,9 @@ const STALE: u32 = u32::MAX;
 
 /// Vertices per parallel work item.
 const CHUNK: usize = 1 << 10;
+
+/// Vertices of a block: what is around them stays in the cache while their colors follow each other.
+const BLOCK: usize = 1 << 14;
 
 /// Surface faces by vertex, and colors.
 #[derive(Debug, Clone, Default)]
@@ -104,15 +108,18 @@ impl SurfaceStars {
         }
     }
 
-    /// The surface vertices with tets by color, in order.
+    /// The surface vertices with tets by block and color, in order.
     pub fn by_color(&self, mesh: &ImprovementMesh) -> Vec<Vec<u32>> {
         let mut sets: Vec<Vec<u32>> = Vec::new();
-        for (v, &color) in self.colors.iter().enumerate().filter(|(_, color)| **color != UNCOLORED) {
-            if mesh.is_on_surface(v as u32) && !mesh.ball(v as u32).is_empty() {
-                if sets.len() <= usize::from(color) {
-                    sets.resize(usize::from(color) + 1, Vec::new());
+        for (block, colors) in self.colors.chunks(BLOCK).enumerate() {
+            let first = sets.len();
+            for (v, &color) in (block * BLOCK..).zip(colors).filter(|(_, color)| **color != UNCOLORED) {
+                if mesh.is_on_surface(v as u32) && !mesh.ball(v as u32).is_empty() {
+                    if sets.len() <= first + usize::from(color) {
+                        sets.resize(first + usize::from(color) + 1, Vec::new());
+                    }
+                    sets[first + usize::from(color)].push(v as u32);
                 }
-                sets[usize::from(color)].push(v as u32);
             }
         }
         sets
