@@ -22,7 +22,7 @@ use std::time::Instant;
 
 use glam::DVec3;
 use rayon::prelude::*;
-use rustc_hash::FxHashMap;
+use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::conforming::delaunay_kernel::LARGEST_COORDINATE;
 use crate::conforming::options::{DomainRule, Options};
@@ -96,8 +96,27 @@ struct Check<'a> {
     merged: Vec<u32>,
     /// Facets that are usable so far: number in the input and representatives.
     facets: Vec<(u32, [u32; 3])>,
+    left_out: LeftOut,
     findings: Vec<Finding>,
     report: CheckReport,
+}
+
+/// The edges of facets that are not usable: that they are open is no fault of its own.
+#[derive(Default)]
+struct LeftOut {
+    edges: FxHashSet<[u32; 2]>,
+    /// Corners of facets that name a point that does not exist: which edges they were to have is not known.
+    corners: FxHashSet<u32>,
+}
+
+impl LeftOut {
+    fn add(&mut self, facet: [u32; 3]) {
+        self.edges.extend(edges_of(facet).map(sorted));
+    }
+
+    fn explains(&self, edge: [u32; 2]) -> bool {
+        self.edges.contains(&edge) || edge.iter().any(|v| self.corners.contains(v))
+    }
 }
 
 /// Checks a surface; an invalid one is a result here, not an error.
@@ -107,7 +126,14 @@ struct Check<'a> {
 pub fn check(surface: &SurfaceMesh, options: &Options, context: &RunContext) -> Result<CheckedSurface> {
     let start = Instant::now();
     let merged = Vec::new();
-    let mut check = Check { surface, merged, facets: Vec::new(), findings: Vec::new(), report: CheckReport::default() };
+    let mut check = Check {
+        surface,
+        merged,
+        facets: Vec::new(),
+        left_out: LeftOut::default(),
+        findings: Vec::new(),
+        report: CheckReport::default(),
+    };
     check.merge_points();
     check.collect_facets();
     context.check()?;
@@ -175,6 +201,8 @@ impl Check<'_> {
             if let Some(bad) = facet.iter().find(|v| v.index() >= self.surface.points.len()) {
                 let text = format!("triangle {i} uses point {} of {}", i64::from(bad.0), self.surface.points.len());
                 self.error(FindingCode::IndexOutOfRange, [id, i64::from(bad.0)], None, text);
+                let known = facet.iter().filter_map(|v| self.merged.get(v.index()));
+                self.left_out.corners.extend(known);
                 continue;
             }
             if self.surface.role_of(patch) == PatchRole::Source {
@@ -183,6 +211,7 @@ impl Check<'_> {
             let corners = facet.map(|v| self.merged[v.index()]);
             let [a, b, c] = corners.map(|v| self.at(v));
             if ![a, b, c].into_iter().all(is_usable) {
+                self.left_out.add(corners);
                 continue;
             }
             let center = (a + b + c) / 3.0;
@@ -194,6 +223,7 @@ impl Check<'_> {
             if is_collinear(a, b, c) {
                 let text = format!("triangle {i} has no area: its vertices lie on one line");
                 self.error(FindingCode::DegenerateTriangle, [id, -1], Some(center), text);
+                self.left_out.add(corners);
                 continue;
             }
             let mut key = corners;
@@ -259,7 +289,8 @@ impl Check<'_> {
         peeled
     }
 
-    /// Open edges are errors unless their sheet lies inside what is closed, or its patch says embedded.
+    /// Open edges are errors unless their sheet lies inside what is closed, or its patch says embedded. Those of facets that
+    /// were left out follow from what was found before.
     fn report_open_edges(&mut self, edges: &EdgeTable, sheets: &[bool]) {
         if !sheets.contains(&true) {
             return;
@@ -272,6 +303,9 @@ impl Check<'_> {
         for edge in 0..edges.ends.len() {
             let &[facet] = edges.facets(edge) else { continue };
             let key = edges.ends[edge];
+            if self.left_out.explains(key) {
+                continue;
+            }
             let sheet = component[facet as usize];
             let enclosed = *inside.entry(sheet).or_insert_with(|| self.is_enclosed(facet, &core, &tree));
             let severity = if enclosed { Severity::Note } else { Severity::Error };
@@ -555,6 +589,32 @@ mod tests {
             found.iter().all(|(code, ids)| *code == FindingCode::OpenEdge
                 && ids.iter().all(|&v| removed.contains(&VertexId(v as u32))))
         );
+    }
+
+    #[test]
+    fn what_follows_from_a_facet_left_out_is_not_told() {
+        let whole = cube(3);
+        let codes = |surface: &SurfaceMesh| errors(surface).into_iter().map(|(code, _)| code).collect::<Vec<_>>();
+        for value in [f64::NAN, f64::INFINITY] {
+            let mut surface = whole.clone();
+            surface.points[7].y = value;
+            assert_eq!(errors(&surface), [(FindingCode::NonFiniteCoordinate, [7, -1])]);
+        }
+        let mut index = whole.clone();
+        index.facets[5][1] = VertexId(999);
+        assert_eq!(errors(&index), [(FindingCode::IndexOutOfRange, [5, 999])]);
+        // A facet that has become a line by the move of a corner onto the middle of its opposite edge.
+        let mut flat = surface_of(
+            &[[0., 0., 0.], [2., 0., 0.], [1., 2., 0.], [1., 1., 2.], [1., 0., 0.]],
+            &[[0, 2, 1], [0, 4, 3], [4, 1, 3], [1, 2, 3], [2, 0, 3], [0, 1, 4]],
+        );
+        let told = codes(&flat);
+        assert!(told.contains(&FindingCode::DegenerateTriangle) && !told.contains(&FindingCode::OpenEdge));
+        // A defect elsewhere is told beside it.
+        flat.facets.remove(3);
+        flat.facet_patches.pop();
+        let told = codes(&flat);
+        assert!(told.contains(&FindingCode::DegenerateTriangle) && told.contains(&FindingCode::OpenEdge));
     }
 
     #[test]
