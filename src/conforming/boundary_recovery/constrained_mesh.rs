@@ -70,8 +70,8 @@ pub struct ConstrainedMesh {
     pub created: Vec<TetId>,
     /// Stops searches that take long: they find nothing then, and whoever asked ends at its next check.
     pub cancel: CancelToken,
-    /// What undoes the changes of the trial under way.
-    trial: Option<Vec<Undo>>,
+    /// What undoes the changes of the trials under way, the outermost first.
+    trials: Vec<Vec<Undo>>,
     ball: Vec<TetId>,
     /// Scratch of insertions.
     pub marks: CavityMarks,
@@ -336,7 +336,7 @@ impl ConstrainedMesh {
         if !paired || faces.windows(3).any(|three| three[0] >> 32 == three[2] >> 32) {
             return Ok(false);
         }
-        if let Some(trial) = &mut self.trial {
+        if let Some(trial) = self.trials.last_mut() {
             trial.push((old.iter().map(|&tet| self.complex.vertices(tet)).collect(), Vec::new()));
         }
         for &tet in old {
@@ -358,7 +358,7 @@ impl ConstrainedMesh {
             }
         }
         self.reconnections += 1;
-        if let Some(change) = self.trial.as_mut().and_then(|trial| trial.last_mut()) {
+        if let Some(change) = self.trials.last_mut().and_then(|trial| trial.last_mut()) {
             change.1.clone_from(&self.created);
         }
         Ok(true)
@@ -376,14 +376,14 @@ impl ConstrainedMesh {
         fill_cavity(filling, (front, sheets), |v| complex.point(v), (steps, cancel), budget)
     }
 
-    /// Begins a trial: [`Self::end_trial`] keeps or undoes what is changed until then.
+    /// Begins a trial: [`Self::end_trial`] keeps or undoes what is changed until then. One may be made within another.
     pub fn begin_trial(&mut self) {
-        self.trial = Some(Vec::new());
+        self.trials.push(Vec::new());
     }
 
-    /// The segments that the trial under way took from the mesh, ascending.
+    /// The segments that the innermost trial under way took from the mesh, ascending.
     pub fn segments_lost_in_trial(&mut self) -> Vec<EdgeKey> {
-        let rows = self.trial.iter().flatten().flat_map(|(rows, _)| rows);
+        let rows = self.trials.last().into_iter().flatten().flat_map(|(rows, _)| rows);
         let mut edges: Vec<EdgeKey> = rows.flat_map(|v| TET_EDGES.map(|[i, j]| edge_key(v[i], v[j]))).collect();
         edges.sort_unstable();
         edges.dedup();
@@ -391,15 +391,31 @@ impl ConstrainedMesh {
         edges
     }
 
-    /// Ends the trial under way. Points added since are left to the caller.
+    /// The subfaces that the innermost trial under way took from the mesh, ascending.
+    pub fn subfaces_lost_in_trial(&mut self) -> Vec<FaceKey> {
+        let rows = self.trials.last().into_iter().flatten().flat_map(|(rows, _)| rows);
+        let mut faces: Vec<FaceKey> = rows.flat_map(|v| TET_FACES.map(|face| face_key(face.map(|i| v[i])))).collect();
+        faces.sort_unstable();
+        faces.dedup();
+        faces.retain(|face| self.subfaces.contains_key(face) && self.find_face(*face).is_none());
+        faces
+    }
+
+    /// Ends the innermost trial under way; what is kept of it is a part of the one around it. Points added since are left to
+    /// the caller.
     ///
     /// # Errors
     /// As [`TetStore::create_tet`].
     pub fn end_trial(&mut self, keep: bool) -> Result<()> {
-        let changes = self.trial.take().unwrap_or_default();
+        let changes = self.trials.pop().unwrap_or_default();
         if keep {
+            if let Some(outer) = self.trials.last_mut() {
+                outer.extend(changes);
+            }
             return Ok(());
         }
+        // The way back is not for the trial around this one to remember.
+        let outer = std::mem::take(&mut self.trials);
         // Slots are given out last freed first: in reverse order every change gets the ids it had.
         for (mut rows, mut ids) in changes.into_iter().rev() {
             rows.reverse();
@@ -407,6 +423,7 @@ impl ConstrainedMesh {
             let undone = self.replace(&ids, &rows)?;
             debug_assert!(undone, "the tets of a change have the border of what they replaced");
         }
+        self.trials = outer;
         Ok(())
     }
 }

@@ -90,7 +90,7 @@ fn move_gap(mesh: &mut ConstrainedMesh, edge: EdgeKey, effort: &Effort) -> Resul
 }
 
 /// Recovers an edge in the place of others; those that are missing then, or `None` where it cannot be recovered so.
-fn take_place(mesh: &mut ConstrainedMesh, edge: EdgeKey, effort: &Effort) -> Result<Option<Vec<EdgeKey>>> {
+pub fn take_place(mesh: &mut ConstrainedMesh, edge: EdgeKey, effort: &Effort) -> Result<Option<Vec<EdgeKey>>> {
     if !recover_edge(mesh, edge, &Effort { yields: true, ..*effort })? {
         return Ok(None);
     }

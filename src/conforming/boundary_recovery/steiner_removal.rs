@@ -127,7 +127,7 @@ fn fill_grown(
         let Some(new) = mesh.fill(&shape.front, &shape.sheets, effort.steps, budget) else {
             continue;
         };
-        if contains_edges(&new, &shape.segments) && mesh.replace(&grown, &new)? {
+        if (effort.yields || contains_edges(&new, &shape.segments)) && mesh.replace(&grown, &new)? {
             mesh.cavities[1] += 1;
             mesh.complex.set_tet_of(vertex, TetId::NONE);
             return Ok(true);
@@ -202,7 +202,7 @@ pub fn thin_ball(mesh: &mut ConstrainedMesh, vertex: VertexId, effort: &Effort) 
             let mut tries = total.min(THINNING_TRIES);
             let before = tries;
             let depth = effort.depth.min(THINNING_DEPTH);
-            let reach = Reach { depth, ring: effort.ring, turn: effort.turn, yields: false, aim: None };
+            let reach = Reach { depth, ring: effort.ring, turn: effort.turn, yields: effort.yields, aim: None };
             remove_edge(mesh, ([vertex, other], tet), reach, &mut tries, &mut Journal::default())?;
             total -= before - tries;
         }
