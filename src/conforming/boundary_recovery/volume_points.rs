@@ -57,7 +57,7 @@ pub fn unlock_edges(
 ) -> Result<Vec<EdgeKey>> {
     // A point that opens a knot mostly shows it at once; what resists gets the whole effort.
     let short = Effort { tries: effort.tries.min(SHORT_TRIES), tets: 0, everywhere: false, ..*effort };
-    // Searches for fillings take longer than all the flips, and leave no fewer points.
+    // Searches for fillings leave no fewer points.
     let long = Effort { tets: 0, ..*effort };
     for pass in 0..MOST_PASSES {
         let before = missing.len();
