@@ -24,6 +24,7 @@ pub mod delaunay_kernel;
 mod delaunay_numbering;
 mod delaunay_parallel;
 pub mod domain_labels;
+mod edge_lengths;
 pub mod enclosure;
 pub mod fault_picture;
 pub mod flip_criteria;

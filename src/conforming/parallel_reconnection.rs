@@ -29,6 +29,7 @@ pub use tet_treatment::{Crowding, FLAT_BELOW, Treatment, count_of_bad};
 
 use rayon::prelude::*;
 
+use super::edge_lengths::LengthScratch;
 use super::flip_criteria::{BiasedSine, StrictInside, UnskewedSine};
 use super::flips::{Accept, Outcome, plan_contraction};
 use super::front::UNSETTLED;
@@ -98,6 +99,7 @@ struct Kit {
     smoother: Smoother,
     slivers: SliverScratch,
     polyhedra: PolyhedronScratch,
+    lengths: LengthScratch,
     rejected: Vec<Rejected>,
     /// Vertices without tets that sliver removal may use.
     spare: Vec<VertexId>,
@@ -238,7 +240,7 @@ impl Job for SmoothJob<'_> {
         let is_near = tet != TetId::NONE
             && store.vertices(tet).iter().any(|v| self.on_boundary.get(v.index()).copied().unwrap_or(false));
         let rule = if is_near { self.near_boundary } else { self.rule };
-        let spacing = Spacing { sizes: self.sizes, factor: SPACING };
+        let spacing = Spacing { sizes: self.sizes, factor: SPACING, longest: f64::INFINITY };
         let outcome = kit.smoother.smooth(store, vertex, &BiasedSine, rule, spacing);
         store.release_claims();
         if outcome == Outcome::Accepted {

@@ -342,6 +342,10 @@ enum Places {
 /// Edges longer than this many times the average size of their ends are out of the range that meshes are judged by: with
 /// the default factor of 1.2 they are twice as long as the boundary's.
 const FAR_TOO_LONG: f64 = 1.7;
+/// How far the centres of such tets stay from other points, in shares of the average of their sizes: as far as vertices do in
+/// quality improvement. With the distance that points ahead of the front keep (`cdfn`), hardly any centre is left between
+/// walls whose vertices have uneven edges, and on a gear every fifth edge stays too long.
+const NEAR_CENTER: f64 = 0.5;
 
 fn centers_of_large(complex: &TetComplex, sizes: &[f64], active: &[TetId]) -> Vec<Candidate> {
     let tolerated = Satisfaction::new(FAR_TOO_LONG, 180.0);
@@ -394,6 +398,10 @@ fn refine_round(
         near_factor: options.near_point_factor,
         accurate_normals: options.accurate_normals,
     };
+    let near_factor = match places {
+        Places::Front => options.near_point_factor,
+        Places::Centers => options.near_point_factor.min(NEAR_CENTER),
+    };
     let mut round = Round::default();
     context.install(|| deactivate(complex, sizes, satisfaction, active));
     round.active = active.len();
@@ -402,7 +410,8 @@ fn refine_round(
         Places::Centers => centers_of_large(complex, sizes, active),
     });
     round.created = candidates.len();
-    let accepted = context.install(|| filter(complex, (sizes, clearances, boundary), field, options, &candidates))?;
+    let fields = (&**sizes, &**clearances, &*boundary, field);
+    let accepted = context.install(|| filter(complex, fields, options, near_factor, &candidates))?;
     drop(candidates);
     round.filtered = accepted.len();
     rest(complex, active);
@@ -413,7 +422,7 @@ fn refine_round(
         if options.sort_new_points { sorted_along_curve(&accepted)? } else { (accepted.clone(), vec![accepted.len()]) };
     let inserts = assign_vertices(complex, (sizes, boundary), &accepted, unused)?;
     let rule = InsertionRule {
-        near_factor: options.near_point_factor,
+        near_factor,
         snap_tolerance: if options.snap_location { options.location_tolerance } else { 0.0 },
     };
     let mut fresh = Vec::new();
@@ -471,28 +480,32 @@ const LEAST_SHARE: f64 = 0.5;
 /// The first test of the candidates, in parallel: where they lie, how large they are, what is too close.
 fn filter(
     complex: &TetComplex,
-    (sizes, clearances, boundary): (&[f64], &[f64], &BoundarySizes),
-    field: &SizeField,
+    (sizes, clearances, boundary, field): (&[f64], &[f64], &BoundarySizes, &SizeField),
     options: &Options,
+    near_factor: f64,
     candidates: &[Candidate],
 ) -> Result<Vec<Accepted>> {
     let is_free = field.is_free();
-    let test =
-        |candidate: &Candidate| -> Option<Result<Accepted>> {
-            let Walk::Inside(tet) = walk(complex, candidate.tet, candidate.point, false) else { return None };
-            let interpolated = interpolated_size(complex, sizes, tet, candidate.point, options.size_minimum_weight);
-            let found = boundary.at(complex, tet, candidate.point, options.size_minimum_weight);
-            let (of_boundary, place) = found.unwrap_or((f64::INFINITY, TetId::NONE));
-            let local = interpolated.min(of_boundary);
-            let wanted = local.min(options.growth_rate * candidate.scale).max(LEAST_SHARE * local);
-            let size = if is_free { Ok(wanted) } else { field.bounded_in(complex.label(tet), candidate.point, wanted) };
-            let size = match size {
-                Ok(size) => size,
-                Err(error) => return Some(Err(error)),
-            };
-            is_clear(complex, clearances, tet, candidate.point, size, options.near_point_factor)
-                .then_some(Ok(Accepted { point: candidate.point, size, tet, origin: candidate.tet, place }))
+    let test = |candidate: &Candidate| -> Option<Result<Accepted>> {
+        let Walk::Inside(tet) = walk(complex, candidate.tet, candidate.point, false) else { return None };
+        let interpolated = interpolated_size(complex, sizes, tet, candidate.point, options.size_minimum_weight);
+        let found = boundary.at(complex, tet, candidate.point, options.size_minimum_weight);
+        let (of_boundary, place) = found.unwrap_or((f64::INFINITY, TetId::NONE));
+        let local = interpolated.min(of_boundary);
+        let wanted = local.min(options.growth_rate * candidate.scale).max(LEAST_SHARE * local);
+        let size = if is_free { Ok(wanted) } else { field.bounded_in(complex.label(tet), candidate.point, wanted) };
+        let size = match size {
+            Ok(size) => size,
+            Err(error) => return Some(Err(error)),
         };
+        is_clear(complex, clearances, tet, candidate.point, size, near_factor).then_some(Ok(Accepted {
+            point: candidate.point,
+            size,
+            tet,
+            origin: candidate.tet,
+            place,
+        }))
+    };
     candidates.par_iter().with_min_len(256).filter_map(test).collect()
 }
 

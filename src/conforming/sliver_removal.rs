@@ -384,7 +384,7 @@ mod tests {
                 let spare = complex.push_point(DVec3::ZERO).unwrap();
                 let grade = BiasedSine.grade(mesh.points_of(tet));
                 let (mut scratch, mut flips) = (SliverScratch::default(), FlipScratch::default());
-                let spacing = Spacing { sizes: &sizes, factor };
+                let spacing = Spacing { sizes: &sizes, factor, longest: f64::INFINITY };
                 let limits = InsertionLimits { floor: 1.3 * grade, spacing, size: 0.1, every_edge: true };
                 let (outcome, place) = plan_grown_insertion(
                     &mut complex,

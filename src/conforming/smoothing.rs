@@ -281,14 +281,16 @@ impl Smoother {
         }
     }
 
-    /// Whether the vertex whose ball is held keeps its distances at `place`, or comes no closer to those it does not.
+    /// Whether the vertex whose ball is held keeps its distances at `place`; those it does not keep now get no worse.
     fn may_move<S: TetStore + ?Sized>(&self, store: &S, vertex: VertexId, place: DVec3, spacing: Spacing<'_>) -> bool {
         let at = store.point(vertex);
         let size = spacing.size_of(vertex);
         let keeps = |other: VertexId| {
             let point = store.point(other);
             let distance = point.distance_squared(place);
-            other == vertex || spacing.holds(size, other, distance) || distance >= point.distance_squared(at)
+            let before = point.distance_squared(at);
+            let is_far = spacing.holds(size, other, distance) || distance >= before;
+            other == vertex || is_far && (spacing.reaches(size, other, distance) || distance <= before)
         };
         spacing.is_free() || self.ball.iter().all(|&tet| store.vertices(tet).into_iter().all(keeps))
     }

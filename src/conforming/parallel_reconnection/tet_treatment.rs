@@ -9,9 +9,9 @@
 //!
 //! # Differences
 //! Without these limits, tets whose bad angles the surface forces draw point after point, each making the worst tet a
-//! little better, until thin places are full of small tets off the boundary that nothing forces to be bad. Points keep the
-//! distance that the size field asks for unless a tet is nearly flat ([`Crowding`]); polyhedra grow only for points that
-//! need not, since hardly any other found a place (52 of 51 000 attempts on one surface).
+//! little better, until thin places are full of small tets off the boundary that nothing forces to be bad. All operations keep
+//! the lengths that the size field asks for ([`keeps_lengths`]) unless a tet is nearly flat ([`Crowding`]); polyhedra grow only
+//! for points that need not, since hardly any other found a place (52 of 51 000 attempts on one surface).
 //!
 //! # Invariants
 //! No operation lowers the worst tet of what it touches; tets off the boundary are graded strictly
@@ -19,6 +19,7 @@
 
 use glam::DVec3;
 
+use super::super::edge_lengths::keeps_lengths;
 use super::super::flip_criteria::{BiasedSine, STRICT_ANGLE, StrictInside, TetMeasure, UnskewedSine};
 use super::super::flips::{Accept, Outcome, plan_edge_removal, plan_face_removal, plan_vertex_removal};
 use super::super::needle_faces::NeedleFaces;
@@ -52,14 +53,25 @@ const FLOOR: f64 = 18.0;
 /// Distance that vertices keep from their neighbours where they may not crowd, in shares of their average size: with edges
 /// below half the size of the boundary the mesh would no longer follow the size field.
 pub(super) const SPACING: f64 = 0.5;
+/// The same for the longest: with the default factor of the sizes (`cdf`, 1.2) twice the length of the boundary's edges.
+const LONGEST: f64 = 2.0 / 1.2;
 
-/// Whether points may come closer to others than the sizes want, for the sake of bad tets.
+/// Whether edges may become shorter or longer than the sizes want, for the sake of bad tets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Crowding {
     /// For every bad tet.
     Allowed,
     /// Only for tets that are nearly flat.
     Refused,
+}
+
+/// Whether operations may make edges shorter or longer than the sizes ask for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Lengths {
+    /// Only in the place of others.
+    Kept,
+    /// At tets that may not stay.
+    Free,
 }
 
 /// How many of `bad` (worst first) are so bad that points may crowd around them.
@@ -127,19 +139,17 @@ fn bad_grade(is_off_boundary: bool) -> f64 {
 fn insertion_limits(
     grade: f64,
     is_off_boundary: bool,
-    (size, sizes): (f64, &[f64]),
+    (size, spacing): (f64, Spacing<'_>),
     crowding: Crowding,
 ) -> InsertionLimits<'_> {
     let grade_at = |degrees: f64| degrees.to_radians().sin();
     let flat = if crowding == Crowding::Allowed { POOR_BELOW } else { FLAT_BELOW };
-    let spaced = Spacing { sizes, factor: SPACING };
-    let spaced_where_good = if is_off_boundary || crowding == Crowding::Allowed { Spacing::FREE } else { spaced };
-    let (floor, spacing, every_edge) = if grade < grade_at(flat) {
-        (GAIN * grade, Spacing::FREE, true)
+    let (floor, every_edge) = if grade < grade_at(flat) {
+        (GAIN * grade, true)
     } else if grade < bad_grade(is_off_boundary) {
-        (grade_at(BAD_BELOW), spaced_where_good, true)
+        (grade_at(BAD_BELOW), true)
     } else {
-        (grade_at(FLOOR), if is_off_boundary { Spacing::FREE } else { spaced }, is_off_boundary)
+        (grade_at(FLOOR), is_off_boundary)
     };
     InsertionLimits { floor, spacing, size, every_edge }
 }
@@ -155,9 +165,22 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         self.measure.on_boundary.get(vertex.index()).copied().unwrap_or(false)
     }
 
-    /// Commits the plan in the kit; true where it was carried out.
-    fn commit<S: TetStore>(store: &mut S, kit: &mut Kit, outcome: Outcome) -> Result<bool> {
-        let done = outcome == Outcome::Accepted && kit.reconnector.commit(store)?;
+    /// Commits the plan in the kit, with its new vertex of a size, if it keeps the lengths; true where it was carried out.
+    fn commit<S: TetStore>(
+        &self,
+        store: &mut S,
+        kit: &mut Kit,
+        (outcome, lengths): (Outcome, Lengths),
+        fresh: Option<(VertexId, f64)>,
+    ) -> Result<bool> {
+        if outcome != Outcome::Accepted {
+            store.release_claims();
+            return Ok(false);
+        }
+        let Kit { reconnector, lengths: scratch, .. } = &mut *kit;
+        let spacing = self.spacing(lengths);
+        let keeps = spacing.is_free() || keeps_lengths(store, spacing, fresh, &reconnector.scratch.plan, scratch);
+        let done = keeps && reconnector.commit(store)?;
         store.release_claims();
         if done {
             let Kit { reconnector, touched, .. } = kit;
@@ -166,8 +189,31 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         Ok(done)
     }
 
+    /// Whether operations at a tet keep the lengths of edges: not where it may not stay. Slivers that the boundary forces are
+    /// among these, since they bound what becomes of the tets beside them: with the lengths kept at them, six times as many
+    /// slivers stayed on one part, for one edge in sixty more in range.
+    fn lengths_at(&self, row: &[VertexId; 4], corners: [DVec3; 4]) -> Lengths {
+        let grade = BiasedSine.grade(corners);
+        let is_flat = grade < FLAT_BELOW.to_radians().sin();
+        let is_bad = grade < bad_grade(self.measure.is_strict(row));
+        let is_unbearable = is_flat || is_bad && self.treatment.crowding == Crowding::Allowed;
+        if is_unbearable || self.treatment.shuns_skew_faces { Lengths::Free } else { Lengths::Kept }
+    }
+
+    fn spacing(&self, lengths: Lengths) -> Spacing<'_> {
+        match lengths {
+            Lengths::Free => Spacing::FREE,
+            Lengths::Kept => Spacing { sizes: self.sizes, factor: SPACING, longest: LONGEST },
+        }
+    }
+
     /// Edge and face removal.
-    fn reconnect<S: TetStore>(&self, store: &mut S, kit: &mut Kit, tet: TetId) -> Result<Outcome> {
+    fn reconnect<S: TetStore>(
+        &self,
+        store: &mut S,
+        kit: &mut Kit,
+        (tet, lengths): (TetId, Lengths),
+    ) -> Result<Outcome> {
         let mut lost = false;
         for option in 0..10 {
             let scratch = &mut kit.reconnector.scratch;
@@ -179,7 +225,7 @@ impl<G: TetMeasure> TreatJob<'_, G> {
                 let side = TetFace::new(tet, option - 6);
                 plan_face_removal(store, side, &self.measure, Accept::Better, scratch)
             };
-            if Self::commit(store, kit, outcome)? {
+            if self.commit(store, kit, (outcome, lengths), None)? {
                 return Ok(Outcome::Accepted);
             }
             lost |= outcome == Outcome::ClaimLost;
@@ -193,6 +239,7 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         store: &mut S,
         kit: &mut Kit,
         (tet, row): (TetId, [VertexId; 4]),
+        lengths: Lengths,
     ) -> Result<Outcome> {
         let Some(spare) = kit.spare.pop() else { return Ok(Outcome::NotApplicable) };
         let Kit { polyhedra, reconnector, .. } = kit;
@@ -203,7 +250,7 @@ impl<G: TetMeasure> TreatJob<'_, G> {
             store.set_point(spare, place);
         }
         kit.tally.polyhedra[0] += 1;
-        let done = Self::commit(store, kit, outcome)?;
+        let done = self.commit(store, kit, (outcome, lengths), Some((spare, self.size_at(row))))?;
         if done {
             kit.tally.polyhedra[1] += 1;
             let removed = &kit.reconnector.scratch.plan.removed_vertices;
@@ -227,10 +274,13 @@ impl<G: TetMeasure> TreatJob<'_, G> {
     }
 
     /// Moves each vertex to its best place; whether any moved.
-    fn move_vertices<S: TetStore>(&self, store: &mut S, kit: &mut Kit, row: [VertexId; 4]) -> bool {
-        let grade = self.measure.grade(store.corners(row));
-        let is_free = self.treatment.crowding == Crowding::Allowed || grade < FLAT_BELOW.to_radians().sin();
-        let spacing = if is_free { Spacing::FREE } else { Spacing { sizes: self.sizes, factor: SPACING } };
+    fn move_vertices<S: TetStore>(
+        &self,
+        store: &mut S,
+        kit: &mut Kit,
+        (row, lengths): ([VertexId; 4], Lengths),
+    ) -> bool {
+        let spacing = self.spacing(lengths);
         let mut moved = false;
         for vertex in row.into_iter().filter(|v| !self.is_fixed(*v)) {
             if kit.smoother.optimize(store, vertex, &self.measure, spacing) == Outcome::Accepted {
@@ -243,12 +293,17 @@ impl<G: TetMeasure> TreatJob<'_, G> {
     }
 
     /// Removes one of the vertices.
-    fn remove_vertex<S: TetStore>(&self, store: &mut S, kit: &mut Kit, row: [VertexId; 4]) -> Result<Outcome> {
+    fn remove_vertex<S: TetStore>(
+        &self,
+        store: &mut S,
+        kit: &mut Kit,
+        (row, lengths): ([VertexId; 4], Lengths),
+    ) -> Result<Outcome> {
         let mut lost = false;
         for vertex in row.into_iter().filter(|v| !self.is_fixed(*v)) {
             let scratch = &mut kit.reconnector.scratch;
             let outcome = plan_vertex_removal(store, vertex, &self.measure, Accept::Better, scratch);
-            if Self::commit(store, kit, outcome)? {
+            if self.commit(store, kit, (outcome, lengths), None)? {
                 kit.tally.removed += 1;
                 kit.removed.push(vertex);
                 return Ok(Outcome::Accepted);
@@ -263,15 +318,15 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         &self,
         store: &mut S,
         kit: &mut Kit,
-        tet: TetId,
-        row: [VertexId; 4],
+        (tet, row): (TetId, [VertexId; 4]),
+        lengths: Lengths,
     ) -> Result<Outcome> {
         let Some(vertex) = kit.spare.pop() else { return Ok(Outcome::NotApplicable) };
         kit.tally.tried += 1;
         let size = self.size_at(row);
         let grade = self.measure.grade(store.corners(row));
         let is_off = self.measure.is_strict(&row);
-        let limits = insertion_limits(grade, is_off, (size, self.sizes), self.treatment.crowding);
+        let limits = insertion_limits(grade, is_off, (size, self.spacing(lengths)), self.treatment.crowding);
         let Kit { slivers, reconnector, .. } = kit;
         let scratch = &mut reconnector.scratch;
         let (mut outcome, mut place) =
@@ -292,7 +347,7 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         if outcome == Outcome::Accepted {
             store.set_point(vertex, place);
         }
-        if Self::commit(store, kit, outcome)? {
+        if self.commit(store, kit, (outcome, lengths), Some((vertex, size)))? {
             kit.new_sizes.push((vertex, size));
             kit.tally.inserted += 1;
             return Ok(Outcome::Accepted);
@@ -322,11 +377,13 @@ impl<G: TetMeasure + Sync> Job for TreatJob<'_, G> {
         let row = store.vertices(tet);
         let before =
             if row.contains(&VertexId::GHOST) { f64::INFINITY } else { self.measure.grade(store.corners(row)) };
-        store.release_claims();
         if before >= self.treatment.goal {
+            store.release_claims();
             return Ok(Attempt::Done);
         }
-        match self.reconnect(store, kit, tet)? {
+        let lengths = self.lengths_at(&row, store.corners(row));
+        store.release_claims();
+        match self.reconnect(store, kit, (tet, lengths))? {
             Outcome::Accepted => {
                 kit.tally.done += 1;
                 return Ok(Attempt::Done);
@@ -334,16 +391,18 @@ impl<G: TetMeasure + Sync> Job for TreatJob<'_, G> {
             Outcome::ClaimLost => return Ok(Attempt::ClaimLost),
             _ => {}
         }
-        let mut improved = self.move_vertices(store, kit, row);
+        let mut improved = self.move_vertices(store, kit, (row, lengths));
         if self.treatment.changes_vertices {
             for operation in 0..3 {
                 if improved {
                     break;
                 }
                 let outcome = match operation {
-                    0 if self.treatment.reconnects_polyhedra => self.reconnect_polyhedron(store, kit, (tet, row))?,
-                    1 => self.remove_vertex(store, kit, row)?,
-                    2 => self.insert_point(store, kit, tet, row)?,
+                    0 if self.treatment.reconnects_polyhedra => {
+                        self.reconnect_polyhedron(store, kit, (tet, row), lengths)?
+                    }
+                    1 => self.remove_vertex(store, kit, (row, lengths))?,
+                    2 => self.insert_point(store, kit, (tet, row), lengths)?,
                     _ => Outcome::NotApplicable,
                 };
                 match outcome {
@@ -365,21 +424,43 @@ mod tests {
     #[test]
     fn the_better_the_tet_the_more_is_asked_of_a_point() {
         let sine = |degrees: f64| degrees.to_radians().sin();
-        let limits = |degrees, off, crowding| insertion_limits(sine(degrees), off, (2.0, &[]), crowding);
+        let limits = |degrees, off, crowding| insertion_limits(sine(degrees), off, (2.0, Spacing::FREE), crowding);
         for crowding in [Crowding::Allowed, Crowding::Refused] {
-            let is_allowed = crowding == Crowding::Allowed;
             let flat = limits(1.0, false, crowding);
-            assert!(flat.floor == GAIN * sine(1.0) && flat.spacing.is_free());
+            assert!(flat.floor == GAIN * sine(1.0) && flat.size == 2.0);
             let poor = limits(3.0, false, crowding);
-            assert_eq!(poor.floor, if is_allowed { GAIN * sine(3.0) } else { sine(10.0) });
-            let bad = limits(7.0, false, crowding);
-            assert!(bad.floor == sine(10.0) && bad.spacing.is_free() == is_allowed);
+            assert_eq!(poor.floor, if crowding == Crowding::Allowed { GAIN * sine(3.0) } else { sine(10.0) });
+            assert_eq!(limits(7.0, false, crowding).floor, sine(10.0));
             let beside = limits(12.0, false, crowding);
-            assert!(beside.floor == sine(18.0) && !beside.spacing.is_free() && beside.size == 2.0);
+            assert!(beside.floor == sine(18.0) && !beside.every_edge);
             let off = limits(12.0, true, crowding);
-            assert!(off.floor == sine(10.0) && off.spacing.is_free(), "bad off the boundary");
-            let good = limits(16.0, true, crowding);
-            assert!(good.floor == sine(18.0) && good.spacing.is_free());
+            assert!(off.floor == sine(10.0) && off.every_edge, "bad off the boundary");
+            assert_eq!(limits(16.0, true, crowding).floor, sine(18.0));
         }
+    }
+
+    #[test]
+    fn lengths_are_given_up_only_for_what_may_not_stay() {
+        let over = |height: f64| [DVec3::ZERO, DVec3::X, DVec3::new(0.5, 0.9, 0.0), DVec3::new(0.5, 0.3, height)];
+        let (inside, beside) = ([4, 5, 6, 7].map(VertexId), [0, 5, 6, 7].map(VertexId));
+        let lengths = |row: &[VertexId; 4], height, treatment: &Treatment| {
+            let measure = StrictInside { angles: BiasedSine, on_boundary: &[true; 4], needles: None };
+            TreatJob { sizes: &[], measure, treatment }.lengths_at(row, over(height))
+        };
+        for crowding in [Crowding::Allowed, Crowding::Refused] {
+            let treatment = Treatment::everything(0.4, crowding);
+            let of_bad = if crowding == Crowding::Allowed { Lengths::Free } else { Lengths::Kept };
+            for (row, height, expected) in [
+                (&beside, 0.01, Lengths::Free),
+                (&inside, 0.01, Lengths::Free),
+                (&beside, 0.04, of_bad),
+                (&beside, 0.06, Lengths::Kept),
+                (&inside, 0.06, of_bad),
+                (&inside, 0.8, Lengths::Kept),
+            ] {
+                assert_eq!(lengths(row, height, &treatment), expected, "{height} {crowding:?}");
+            }
+        }
+        assert_eq!(lengths(&inside, 0.8, &Treatment::of_skew_faces()), Lengths::Free);
     }
 }
