@@ -285,7 +285,7 @@ pub fn remove_from_volume(
 ) -> Result<Vec<VertexId>> {
     let start = Instant::now();
     let (efforts, edge_efforts) = (efforts(options), edge_efforts(options));
-    // Merging leaves a quarter fewer points than the largest effort alone, which would add time and hardly anything else.
+    // Where points are few merging removes what the largest effort does not, which would add time and hardly anything else.
     volume = steiner_removal::remove_steiner_points(mesh, volume, &efforts[2], context)?;
     volume = steiner_merging::merge_steiner_points(mesh, volume, (&edge_efforts, &efforts), context)?;
     report.seconds[3] = start.elapsed().as_secs_f64();
