@@ -121,6 +121,29 @@ fn treatment_lifts_the_worst_tets_on_any_number_of_threads() {
 }
 
 #[test]
+fn what_is_refused_for_its_lengths_does_not_count_as_done() {
+    let context = RunContext::with_threads(1).unwrap();
+    let mut driver = Driver::for_quality(&Options::default(), &context);
+    let mut complex = shaken_grid(5, 0.25);
+    let on_boundary = boundary_vertices(&complex, &context);
+    let treatment = Treatment::everything(BiasedSine::grade_of_angles(40.0, 110.0), Crowding::Refused);
+    let mut counts = [0; 2];
+    for size in [0.5, 1.0, 2.5] {
+        let mut sizes = vec![size; complex.vertex_count()];
+        for tet in complex.finite_tets().collect::<Vec<_>>() {
+            if !complex.is_live(tet) {
+                continue;
+            }
+            let done = driver.treat(&mut complex, &mut sizes, &on_boundary, vec![tet], &treatment).unwrap();
+            assert_eq!(done > 0, !driver.take_touched().is_empty(), "size {size}");
+            counts[usize::from(done > 0)] += 1;
+        }
+    }
+    assert!(counts[0] > 50 && counts[1] > 50, "{counts:?}");
+    check(&complex, 125.0);
+}
+
+#[test]
 fn short_edges_collapse() {
     let context = RunContext::with_threads(1).unwrap();
     let mut driver = Driver::for_quality(&Options::default(), &context);

@@ -165,28 +165,33 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         self.measure.on_boundary.get(vertex.index()).copied().unwrap_or(false)
     }
 
-    /// Commits the plan in the kit, with its new vertex of a size, if it keeps the lengths; true where it was carried out.
+    /// Commits the plan in the kit, with its new vertex of a size, if it keeps the lengths: what became of it. Plans larger than
+    /// the room that every attempt has are left alone: another attempt would have no more.
     fn commit<S: TetStore>(
         &self,
         store: &mut S,
         kit: &mut Kit,
         (outcome, lengths): (Outcome, Lengths),
         fresh: Option<(VertexId, f64)>,
-    ) -> Result<bool> {
+    ) -> Result<Outcome> {
         if outcome != Outcome::Accepted {
             store.release_claims();
-            return Ok(false);
+            return Ok(outcome);
         }
         let Kit { reconnector, lengths: scratch, .. } = &mut *kit;
         let spacing = self.spacing(lengths);
         let keeps = spacing.is_free() || keeps_lengths(store, spacing, fresh, &reconnector.scratch.plan, scratch);
-        let done = keeps && reconnector.commit(store)?;
+        let result = match keeps {
+            true if reconnector.commit(store)? => Outcome::Accepted,
+            true => Outcome::NotApplicable,
+            false => Outcome::WorsensQuality,
+        };
         store.release_claims();
-        if done {
+        if result == Outcome::Accepted {
             let Kit { reconnector, touched, .. } = kit;
             touched.made.extend(reconnector.scratch.plan.new.iter().flatten());
         }
-        Ok(done)
+        Ok(result)
     }
 
     /// Whether operations at a tet keep the lengths of edges: not where it may not stay. Slivers that the boundary forces are
@@ -225,10 +230,10 @@ impl<G: TetMeasure> TreatJob<'_, G> {
                 let side = TetFace::new(tet, option - 6);
                 plan_face_removal(store, side, &self.measure, Accept::Better, scratch)
             };
-            if self.commit(store, kit, (outcome, lengths), None)? {
-                return Ok(Outcome::Accepted);
+            match self.commit(store, kit, (outcome, lengths), None)? {
+                Outcome::Accepted => return Ok(Outcome::Accepted),
+                result => lost |= result == Outcome::ClaimLost,
             }
-            lost |= outcome == Outcome::ClaimLost;
         }
         Ok(if lost { Outcome::ClaimLost } else { Outcome::WorsensQuality })
     }
@@ -250,7 +255,8 @@ impl<G: TetMeasure> TreatJob<'_, G> {
             store.set_point(spare, place);
         }
         kit.tally.polyhedra[0] += 1;
-        let done = self.commit(store, kit, (outcome, lengths), Some((spare, self.size_at(row))))?;
+        let result = self.commit(store, kit, (outcome, lengths), Some((spare, self.size_at(row))))?;
+        let done = result == Outcome::Accepted;
         if done {
             kit.tally.polyhedra[1] += 1;
             let removed = &kit.reconnector.scratch.plan.removed_vertices;
@@ -263,8 +269,7 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         } else {
             kit.spare.push(spare);
         }
-        // Without room it is to be tried again.
-        Ok(if outcome == Outcome::Accepted && !done { Outcome::ClaimLost } else { outcome })
+        Ok(result)
     }
 
     /// The average size of a tet's vertices.
@@ -303,12 +308,14 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         for vertex in row.into_iter().filter(|v| !self.is_fixed(*v)) {
             let scratch = &mut kit.reconnector.scratch;
             let outcome = plan_vertex_removal(store, vertex, &self.measure, Accept::Better, scratch);
-            if self.commit(store, kit, (outcome, lengths), None)? {
-                kit.tally.removed += 1;
-                kit.removed.push(vertex);
-                return Ok(Outcome::Accepted);
+            match self.commit(store, kit, (outcome, lengths), None)? {
+                Outcome::Accepted => {
+                    kit.tally.removed += 1;
+                    kit.removed.push(vertex);
+                    return Ok(Outcome::Accepted);
+                }
+                result => lost |= result == Outcome::ClaimLost,
             }
-            lost |= outcome == Outcome::ClaimLost;
         }
         Ok(if lost { Outcome::ClaimLost } else { Outcome::WorsensQuality })
     }
@@ -347,13 +354,14 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         if outcome == Outcome::Accepted {
             store.set_point(vertex, place);
         }
-        if self.commit(store, kit, (outcome, lengths), Some((vertex, size)))? {
+        let result = self.commit(store, kit, (outcome, lengths), Some((vertex, size)))?;
+        if result == Outcome::Accepted {
             kit.new_sizes.push((vertex, size));
             kit.tally.inserted += 1;
-            return Ok(Outcome::Accepted);
+        } else {
+            kit.spare.push(vertex);
         }
-        kit.spare.push(vertex);
-        Ok(outcome)
+        Ok(result)
     }
 }
 
