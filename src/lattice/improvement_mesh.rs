@@ -75,6 +75,27 @@ pub struct SurfaceFace {
     pub outer: Option<u32>,
 }
 
+/// A face of the ball of a vertex whose second tet has not been met yet.
+#[derive(Debug, Clone, Copy)]
+pub struct OpenFace {
+    /// The other vertices, in the order that makes the face outward from `tet`.
+    others: [u32; 2],
+    tet: u32,
+}
+
+impl OpenFace {
+    #[inline]
+    fn key(self) -> u64 {
+        key_of(self.others)
+    }
+}
+
+/// The same number for both orders of two vertices, ordered by the smaller one.
+#[inline]
+fn key_of([a, b]: [u32; 2]) -> u64 {
+    u64::from(a.min(b)) << 32 | u64::from(a.max(b))
+}
+
 impl<'a> ImprovementMesh<'a> {
     /// Takes over the tets of a mesh.
     pub fn new(mesh: &mut CandidateMesh, sources: &SourcePoints, surface: SubvoxelSurface<'a>) -> Self {
@@ -302,8 +323,15 @@ impl<'a> ImprovementMesh<'a> {
 
     /// Faces at a vertex that separate two sides.
     pub fn surface_faces(&self, v: u32) -> Vec<SurfaceFace> {
-        // Smaller and larger vertex, tet, order of every face at v; equal pairs are the two tets of a face.
-        let mut entries: Vec<(u64, u32, [u32; 2])> = Vec::with_capacity(self.ball(v).len());
+        let mut faces = Vec::new();
+        self.append_surface_faces(v, &mut Vec::new(), &mut faces);
+        faces
+    }
+
+    /// Appends the faces at a vertex that separate two sides, by their other vertices; `open` is a scratch buffer.
+    pub fn append_surface_faces(&self, v: u32, open: &mut Vec<OpenFace>, faces: &mut Vec<SurfaceFace>) {
+        let first = faces.len();
+        open.clear();
         for &t in self.ball(v) {
             let tet = self.tets[t as usize];
             let own = tet.iter().position(|w| *w == v).unwrap_or(0);
@@ -313,37 +341,36 @@ impl<'a> ImprovementMesh<'a> {
             let rest = [tet[p], tet[q], tet[r]];
             // A face between two sides has all its vertices on the surface.
             let on = rest.map(|w| self.is_on_surface(w));
-            for (first, second) in [(0, 1), (1, 2), (2, 0)] {
-                if on[first] && on[second] {
-                    let (b, a) = (rest[first], rest[second]);
-                    entries.push((u64::from(a.min(b)) << 32 | u64::from(a.max(b)), t, [a, b]));
+            for (at, after) in [(0, 1), (1, 2), (2, 0)] {
+                if on[at] && on[after] {
+                    let face = OpenFace { others: [rest[after], rest[at]], tet: t };
+                    // A few faces are open at a time: going through them is faster than sorting all.
+                    match open.iter().position(|o| o.key() == face.key()) {
+                        Some(at) => faces.extend(self.face_between(open.swap_remove(at), face)),
+                        None => open.push(face),
+                    }
                 }
             }
         }
-        entries.sort_unstable();
-        let mut faces = Vec::with_capacity(entries.len() / 2);
-        for face in entries.chunk_by(|l, r| l.0 == r.0) {
-            match *face {
-                [(_, inner, others)] => {
-                    if self.part(inner) == Part::Mesh {
-                        faces.push(SurfaceFace { others, inner, outer: None });
-                    }
-                }
-                [(_, first, others), (_, second, reversed), ..] => {
-                    if self.labels[first as usize] == self.labels[second as usize] {
-                        continue;
-                    }
-                    // Behind a scaffold is the outside.
-                    faces.push(match (self.part(first), self.part(second)) {
-                        (Part::Mesh, Part::Mesh) => SurfaceFace { others, inner: first, outer: Some(second) },
-                        (Part::Mesh, Part::Scaffold) => SurfaceFace { others, inner: first, outer: None },
-                        (Part::Scaffold, _) => SurfaceFace { others: reversed, inner: second, outer: None },
-                    });
-                }
-                [] => {}
-            }
+        let is_of_mesh = |face: &&OpenFace| self.part(face.tet) == Part::Mesh;
+        let outermost = open.iter().filter(is_of_mesh);
+        faces.extend(outermost.map(|face| SurfaceFace { others: face.others, inner: face.tet, outer: None }));
+        // The order of the tets at the vertex depends on how they came about.
+        faces[first..].sort_unstable_by_key(|face| key_of(face.others));
+    }
+
+    /// The surface face between two tets seen from either; `None` within a label.
+    fn face_between(&self, one: OpenFace, other: OpenFace) -> Option<SurfaceFace> {
+        if self.labels[one.tet as usize] == self.labels[other.tet as usize] {
+            return None;
         }
-        faces
+        let (first, second) = if one.tet < other.tet { (one, other) } else { (other, one) };
+        // Behind a scaffold is the outside.
+        Some(match (self.part(first.tet), self.part(second.tet)) {
+            (Part::Mesh, Part::Mesh) => SurfaceFace { others: first.others, inner: first.tet, outer: Some(second.tet) },
+            (Part::Mesh, Part::Scaffold) => SurfaceFace { others: first.others, inner: first.tet, outer: None },
+            (Part::Scaffold, _) => SurfaceFace { others: second.others, inner: second.tet, outer: None },
+        })
     }
 
     /// Whether an edge lies on a surface: its tets differ in label or do not close around it.

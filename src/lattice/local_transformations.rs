@@ -236,11 +236,15 @@ fn common(left: &[u32], right: &[u32]) -> usize {
 /// Merges a vertex of the tet into another one of it, the first of the twelve ways that gains enough.
 fn contract_one_edge(mesh: &mut ImprovementMesh, t: u32) -> bool {
     let tet = mesh.tets[t as usize];
-    for from in tet.into_iter().filter(|v| !mesh.fixed[*v as usize]).collect::<Vec<_>>() {
-        let needed = mesh.lowest(mesh.ball(from)) + LEAST_GAIN;
-        let threshold = Threshold::of(needed);
-        for to in tet {
-            if to != from && contract_edge(mesh, from, to, &threshold) {
+    for from in tet {
+        // The ball is looked at only for an edge that may be contracted at all.
+        let mut threshold = None;
+        for to in tet.into_iter().filter(|to| *to != from) {
+            if !may_contract(mesh, from, to) {
+                continue;
+            }
+            let needed = threshold.get_or_insert_with(|| Threshold::of(mesh.lowest(mesh.ball(from)) + LEAST_GAIN));
+            if contract_edge(mesh, from, to, needed) {
                 return true;
             }
         }
@@ -248,7 +252,13 @@ fn contract_one_edge(mesh: &mut ImprovementMesh, t: u32) -> bool {
     false
 }
 
-/// Merges `from` into `to` where all changed tets reach the threshold.
+/// Whether `from` may be merged into `to` as far as the vertices themselves say: a surface vertex only into one that separates
+/// the same sides and more.
+pub fn may_contract(mesh: &ImprovementMesh, from: u32, to: u32) -> bool {
+    !mesh.fixed[from as usize] && mesh.sides_within(from, to)
+}
+
+/// Merges `from` into `to` where all changed tets reach the threshold; [`may_contract`] has said yes.
 pub fn contract_edge(mesh: &mut ImprovementMesh, from: u32, to: u32, needed: &Threshold) -> bool {
     let place = |v: u32| mesh.points[if v == from { to } else { v } as usize];
     // Quality fails far more often than topology, and at the first tets.
@@ -285,7 +295,7 @@ fn contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32) -> bool {
 /// A surface vertex may be merged along a surface edge into a vertex that separates the same sides and more, when the
 /// triangles keep their direction. A vertex on a line where surfaces meet is merged along that line only.
 fn surface_contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32, shell: &[u32]) -> bool {
-    if !mesh.sides_within(from, to) || !mesh.is_surface_edge(from, to, shell) {
+    if !mesh.is_surface_edge(from, to, shell) {
         return false;
     }
     let faces = mesh.surface_faces(from);

@@ -17,7 +17,7 @@ use rayon::prelude::*;
 
 use crate::lattice::element_score::{Ball, Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
-use crate::lattice::local_transformations::contract_edge;
+use crate::lattice::local_transformations::{contract_edge, may_contract};
 use crate::lattice::vertex_optimization::{plan_centering, plan_relaxation};
 use crate::mesh::numbering::TET_EDGES;
 
@@ -73,7 +73,7 @@ fn short_edges(mesh: &ImprovementMesh, short: f64, tets: impl ParallelIterator<I
 /// Merges one end of an edge into the other, where that is good enough.
 fn contract(mesh: &mut ImprovementMesh, a: u32, b: u32, wanted: f64) -> bool {
     [(a, b), (b, a)].into_iter().any(|(from, to)| {
-        !mesh.fixed[from as usize] && {
+        may_contract(mesh, from, to) && {
             let needed = Threshold::of(mesh.lowest(mesh.ball(from)).min(wanted));
             contract_edge(mesh, from, to, &needed)
         }

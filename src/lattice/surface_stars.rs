@@ -23,6 +23,9 @@ const UNCOLORED: u8 = u8::MAX;
 /// A star that must be taken anew.
 const STALE: u32 = u32::MAX;
 
+/// Surface faces of a vertex that room is made for: six in the mean where two labels meet, more where more do.
+const FACES_OF_VERTEX: usize = 8;
+
 /// Vertices per parallel work item.
 const CHUNK: usize = 1 << 10;
 
@@ -76,8 +79,13 @@ impl SurfaceStars {
         let is_stale = |v: &u32| self.rows[*v as usize][1] == STALE && mesh.is_on_surface(*v);
         let stale: Vec<u32> = (0..count as u32).into_par_iter().with_min_len(CHUNK).filter(is_stale).collect();
         let of_chunk = |vertices: &[u32]| {
-            let stars: Vec<Vec<SurfaceFace>> = vertices.iter().map(|v| mesh.surface_faces(*v)).collect();
-            (stars.iter().map(|star| star.len() as u32).collect::<Vec<u32>>(), stars.concat())
+            let (mut open, mut faces) = (Vec::new(), Vec::with_capacity(FACES_OF_VERTEX * vertices.len()));
+            let count = |v: &u32| {
+                let first = faces.len();
+                mesh.append_surface_faces(*v, &mut open, &mut faces);
+                (faces.len() - first) as u32
+            };
+            (vertices.iter().map(count).collect::<Vec<u32>>(), faces)
         };
         let parts: Vec<(Vec<u32>, Vec<SurfaceFace>)> = stale.par_chunks(CHUNK).map(of_chunk).collect();
         for (vertices, (counts, faces)) in stale.chunks(CHUNK).zip(parts) {
