@@ -135,16 +135,13 @@ impl<'a> InterfaceTopology<'a> {
     fn excess(&self, vertex: u32, labels: &[Label]) -> i64 {
         let ball = self.ball(vertex);
         let first = ball.first().map(|e| labels[*e as usize]);
-        let Some(other) = ball.iter().map(|e| labels[*e as usize]).find(|l| Some(*l) != first) else {
+        if ball.iter().all(|e| Some(labels[*e as usize]) == first) {
             return if self.is_open(vertex) { self.excess_of_all(vertex, labels) } else { 0 };
-        };
-        let is_of_two = |l: Label| Some(l) == first || l == other;
-        if self.is_open(vertex) || ball.len() > MOST_COUNTED || !ball.iter().all(|e| is_of_two(labels[*e as usize])) {
+        }
+        if self.is_open(vertex) || ball.len() > MOST_COUNTED {
             return self.excess_of_all(vertex, labels);
         }
-        // What is not of the one label is of the other: both ask for the same groups.
-        let foreground = first.into_iter().chain([other]).filter(|l| !l.is_background()).count();
-        (self.group_count(vertex, labels) as i64 - 2) * foreground as i64
+        self.excess_by_marks(vertex, labels)
     }
 
     fn excess_of_all(&self, vertex: u32, labels: &[Label]) -> i64 {
@@ -155,37 +152,35 @@ impl<'a> InterfaceTopology<'a> {
         around.into_iter().filter(|l| !l.is_background()).map(|l| self.excess_of(vertex, l, labels)).sum()
     }
 
-    /// Number of groups of equal label around a vertex of at most [`MOST_COUNTED`] elements, connected through faces at it.
-    fn group_count(&self, vertex: u32, labels: &[Label]) -> usize {
+    /// The excess of a closed vertex of two labels or more and at most [`MOST_COUNTED`] elements: sets of elements are words.
+    fn excess_by_marks(&self, vertex: u32, labels: &[Label]) -> i64 {
         let ball = self.ball(vertex);
-        let (mut seen, mut found) = (0u128, 0);
-        let mut stack = [0u8; MOST_COUNTED];
-        for start in 0..ball.len() {
-            if seen >> start & 1 != 0 {
-                continue;
-            }
-            found += 1;
-            seen |= 1 << start;
-            stack[0] = start as u8;
-            let mut waiting = 1;
-            while waiting > 0 {
-                waiting -= 1;
-                let element = ball[usize::from(stack[waiting])];
-                for (_, near) in self.faces_at(element, vertex) {
-                    if near == OUTSIDE || labels[near as usize] != labels[element as usize] {
-                        continue;
-                    }
-                    // Balls are listed by increasing element.
-                    let Ok(position) = ball.binary_search(&near) else { continue };
-                    if seen >> position & 1 == 0 {
-                        seen |= 1 << position;
-                        stack[waiting] = position as u8;
-                        waiting += 1;
-                    }
-                }
+        let all = u128::MAX >> (MOST_COUNTED - ball.len());
+        let links = self.links(vertex);
+        let (mut rest, mut excess) = (all, 0);
+        while rest != 0 {
+            let label = labels[ball[rest.trailing_zeros() as usize] as usize];
+            let is_of = |at: &usize| labels[ball[*at] as usize] == label;
+            let own = (0..ball.len()).filter(is_of).fold(0u128, |marks, at| marks | 1 << at);
+            rest &= !own;
+            if !label.is_background() {
+                excess += (group_count(own, &links) + group_count(all & !own, &links)) as i64 - 2;
             }
         }
-        found
+        excess
+    }
+
+    /// For each element of the ball of a closed vertex the three behind its faces at the vertex, by their places in the ball.
+    fn links(&self, vertex: u32) -> [[u8; 3]; MOST_COUNTED] {
+        let ball = self.ball(vertex);
+        let mut links = [[0; 3]; MOST_COUNTED];
+        for (row, element) in links.iter_mut().zip(ball) {
+            for (link, (_, near)) in row.iter_mut().zip(self.faces_at(*element, vertex)) {
+                // Balls are listed by increasing element.
+                *link = ball.binary_search(&near).expect("a closed ball holds what is behind its inner faces") as u8;
+            }
+        }
+        links
     }
 
     /// Groups of a label around a vertex, and of all that is not the label, beyond one of each.
@@ -338,13 +333,31 @@ impl<'a> InterfaceTopology<'a> {
     }
 }
 
+/// Number of connected groups among the marked elements.
+fn group_count(marks: u128, links: &[[u8; 3]; MOST_COUNTED]) -> usize {
+    let (mut rest, mut count) = (marks, 0);
+    while rest != 0 {
+        count += 1;
+        let mut waiting = rest & rest.wrapping_neg();
+        rest &= !waiting;
+        while waiting != 0 {
+            let at = waiting.trailing_zeros() as usize;
+            waiting &= waiting - 1;
+            let near = links[at].iter().fold(0u128, |near, link| near | 1 << link);
+            waiting |= near & rest;
+            rest &= !near;
+        }
+    }
+    count
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::lattice::face_adjacency::neighbors_of;
 
     #[test]
-    fn two_labels_around_a_closed_vertex_are_counted_as_any_labels() {
+    fn labels_around_a_closed_vertex_are_counted_by_marks_as_by_lists() {
         // The eight tets of an octahedron around vertex 0; 1 to 3 and 4 to 6 are opposite to each other.
         let corner = |octant: u32, axis: u32| 1 + axis + 3 * (octant >> axis & 1);
         let tets: Vec<[u32; 4]> = (0..8).map(|o| [0, corner(o, 0), corner(o, 1), corner(o, 2)]).collect();
@@ -352,11 +365,10 @@ mod tests {
         let topology = InterfaceTopology::new(&tets, &neighbors, 7);
         assert!(!topology.is_open(0) && (1..7).all(|v| topology.is_open(v)));
         let mut pinched = 0;
-        for pattern in 0u32..256 {
-            for (low, high) in [(0, 1), (1, 2)] {
-                let labels: Vec<Label> =
-                    (0..8).map(|o| Label(if pattern >> o & 1 == 0 { low } else { high })).collect();
-                assert_eq!(topology.excess(0, &labels), topology.excess_of_all(0, &labels), "{pattern:08b}");
+        for pattern in 0u32..3u32.pow(8) {
+            for names in [[0, 1, 2], [1, 2, 3]] {
+                let labels: Vec<Label> = (0..8).map(|o| Label(names[(pattern / 3u32.pow(o) % 3) as usize])).collect();
+                assert_eq!(topology.excess(0, &labels), topology.excess_of_all(0, &labels), "{labels:?}");
                 pinched += usize::from(topology.excess(0, &labels) > 0);
             }
         }
