@@ -298,6 +298,15 @@ impl ConstrainedMesh {
         if new.iter().any(|&tet| self.orient(tet) <= 0.0) {
             return Ok(false);
         }
+        self.replace_by_positive(old, new)
+    }
+
+    /// As [`Self::replace`], for new tets that are known to be positive: those of a plan, and those that were there before.
+    ///
+    /// # Errors
+    /// As [`TetStore::create_tet`].
+    pub fn replace_by_positive(&mut self, old: &[TetId], new: &[[VertexId; 4]]) -> Result<bool> {
+        debug_assert!(new.iter().all(|&tet| self.orient(tet) > 0.0));
         let (mut faces, mut sides) = (std::mem::take(&mut self.faces), std::mem::take(&mut self.sides));
         let replaced = self.replace_with(old, new, &mut faces, &mut sides);
         (self.faces, self.sides) = (faces, sides);
@@ -384,20 +393,23 @@ impl ConstrainedMesh {
     /// The segments that the innermost trial under way took from the mesh, ascending.
     pub fn segments_lost_in_trial(&mut self) -> Vec<EdgeKey> {
         let rows = self.trials.last().into_iter().flatten().flat_map(|(rows, _)| rows);
-        let mut edges: Vec<EdgeKey> = rows.flat_map(|v| TET_EDGES.map(|[i, j]| edge_key(v[i], v[j]))).collect();
+        let edges = rows.flat_map(|v| TET_EDGES.map(|[i, j]| edge_key(v[i], v[j])));
+        // Few edges are segments: the others are left out before anything is sorted.
+        let mut edges: Vec<EdgeKey> = edges.filter(|edge| self.wings.contains_key(edge)).collect();
         edges.sort_unstable();
         edges.dedup();
-        edges.retain(|edge| self.wings.contains_key(edge) && !self.has_edge(edge[0], edge[1]));
+        edges.retain(|edge| !self.has_edge(edge[0], edge[1]));
         edges
     }
 
     /// The subfaces that the innermost trial under way took from the mesh, ascending.
     pub fn subfaces_lost_in_trial(&mut self) -> Vec<FaceKey> {
         let rows = self.trials.last().into_iter().flatten().flat_map(|(rows, _)| rows);
-        let mut faces: Vec<FaceKey> = rows.flat_map(|v| TET_FACES.map(|face| face_key(face.map(|i| v[i])))).collect();
+        let faces = rows.flat_map(|v| TET_FACES.map(|face| face_key(face.map(|i| v[i]))));
+        let mut faces: Vec<FaceKey> = faces.filter(|face| self.subfaces.contains_key(face)).collect();
         faces.sort_unstable();
         faces.dedup();
-        faces.retain(|face| self.subfaces.contains_key(face) && self.find_face(*face).is_none());
+        faces.retain(|face| self.find_face(*face).is_none());
         faces
     }
 
@@ -420,7 +432,7 @@ impl ConstrainedMesh {
         for (mut rows, mut ids) in changes.into_iter().rev() {
             rows.reverse();
             ids.reverse();
-            let undone = self.replace(&ids, &rows)?;
+            let undone = self.replace_by_positive(&ids, &rows)?;
             debug_assert!(undone, "the tets of a change have the border of what they replaced");
         }
         self.trials = outer;

@@ -302,7 +302,7 @@ impl Journal {
     pub fn commit(&mut self, mesh: &mut ConstrainedMesh, plan: &Plan) -> Result<bool> {
         let start = [self.rows.len(), self.ids.len()];
         self.rows.extend(plan.old.iter().map(|&t| mesh.complex.vertices(t)));
-        if !mesh.replace(&plan.old, &plan.new)? {
+        if !mesh.replace_by_positive(&plan.old, &plan.new)? {
             self.rows.truncate(start[0]);
             return Ok(false);
         }
@@ -327,7 +327,7 @@ impl Journal {
         {
             self.rows[row..].reverse();
             self.ids[id..].reverse();
-            mesh.replace(&self.ids[id..], &self.rows[row..])?;
+            mesh.replace_by_positive(&self.ids[id..], &self.rows[row..])?;
             self.rows.truncate(row);
             self.ids.truncate(id);
         }
@@ -385,6 +385,18 @@ fn shell_start(mesh: &ConstrainedMesh, [u, v]: [VertexId; 2], hints: &[TetId]) -
     hinted.or_else(|| find_edge(&mesh.complex, u, v, &mut Vec::new()))
 }
 
+/// A vertex of a ring that is being shortened.
+#[derive(Clone, Copy)]
+struct Corner {
+    vertex: VertexId,
+    /// The tet between it and the next vertex.
+    tet: TetId,
+    /// Whether that has an edge whose removal is under way.
+    is_taken: bool,
+    /// Whether its two tets with its neighbours are positive.
+    is_ear: bool,
+}
+
 /// One recursive removal.
 struct Removal<'a> {
     reach: Reach,
@@ -395,7 +407,7 @@ struct Removal<'a> {
     /// Rings that are not in use.
     rings: Vec<Ring>,
     /// Scratch of `cut_ears`.
-    left: Vec<(VertexId, TetId, bool)>,
+    left: Vec<Corner>,
 }
 
 impl Removal<'_> {
@@ -432,7 +444,7 @@ impl Removal<'_> {
             // A shorter ring needs an ear; without one only its spokes are left.
             let shorter = match ears.both() {
                 0 => None,
-                _ => self.cut_ears(mesh, edge, ring, taken)?,
+                _ => self.cut_ears(mesh, edge, (ring, ears), taken)?,
             };
             if self.open.len() >= self.reach.depth {
                 break;
@@ -475,13 +487,17 @@ impl Removal<'_> {
         &mut self,
         mesh: &mut ConstrainedMesh,
         [u, v]: [VertexId; 2],
-        ring: &Ring,
+        (ring, ears): (&Ring, Ears),
         taken: u64,
     ) -> Result<Option<ShellTet>> {
-        // The tets lie between their vertex and the next.
         let mut left = std::mem::take(&mut self.left);
         left.clear();
-        left.extend((0..ring.count).map(|i| (ring.vertices[i], ring.tets[i], taken >> i & 1 == 1)));
+        left.extend((0..ring.count).map(|i| Corner {
+            vertex: ring.vertices[i],
+            tet: ring.tets[i],
+            is_taken: taken >> i & 1 == 1,
+            is_ear: ears.both() >> i & 1 == 1,
+        }));
         let mut n = ring.count;
         let mut changed = None;
         let mut unchanged = 0;
@@ -489,17 +505,22 @@ impl Removal<'_> {
         while n > 3 && unchanged < n {
             i %= n;
             let (before, after) = ((i + n - 1) % n, (i + 1) % n);
-            let (o, p, q) = (left[before].0, left[i].0, left[after].0);
+            let (o, p, q) = (left[before].vertex, left[i].vertex, left[after].vertex);
             unchanged += 1;
-            let free = !left[before].2 && !left[i].2;
-            let new = [[o, p, q, v], [o, q, p, u], [o, q, u, v]];
-            if free && new.iter().all(|&tet| mesh.orient(tet) > 0.0) && self.keeps_clear(mesh, [o, q], [p, u, v]) {
-                let plan = Plan { old: vec![left[before].1, left[i].1], new: new.to_vec() };
+            let free = !left[before].is_taken && !left[i].is_taken && left[i].is_ear;
+            if free && mesh.orient([o, q, u, v]) > 0.0 && self.keeps_clear(mesh, [o, q], [p, u, v]) {
+                let new = vec![[o, p, q, v], [o, q, p, u], [o, q, u, v]];
+                let plan = Plan { old: vec![left[before].tet, left[i].tet], new };
                 if self.journal.commit(mesh, &plan)? {
                     let tet = mesh.created[2];
-                    left[before].1 = tet;
+                    left[before].tet = tet;
                     left.copy_within(i + 1..n, i);
                     n -= 1;
+                    for at in [i + n - 1, i] {
+                        let [o, p, q] = [at + n - 1, at, at + 1].map(|i| left[i % n].vertex);
+                        let is_ear = mesh.orient([o, p, q, v]) > 0.0 && mesh.orient([o, q, p, u]) > 0.0;
+                        left[at % n].is_ear = is_ear;
+                    }
                     changed = Some(tet);
                     unchanged = 0;
                     continue;

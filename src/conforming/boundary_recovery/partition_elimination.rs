@@ -544,10 +544,11 @@ pub fn kernel_point(faces: &[[DVec3; 3]], start: DVec3, direction: DVec3) -> Opt
         candidates.push(start + direction * step);
         candidates.push(start + (middle - start) * 0.5_f64.powi(i));
     }
-    let mut best = candidates
-        .into_iter()
-        .map(|x| (sees(x), depth(x), x))
-        .max_by(|l, r| l.0.cmp(&r.0).then(l.1.total_cmp(&r.1)))?;
+    let mut ranked: Vec<(f64, DVec3)> = candidates.into_iter().map(|x| (depth(x), x)).collect();
+    ranked.sort_by(|l, r| r.0.total_cmp(&l.0));
+    // The deepest that sees everything, else the deepest: exact tests end with the first.
+    let seeing = ranked.iter().find(|(_, x)| sees(*x)).map(|&(depth, x)| (true, depth, x));
+    let mut best = seeing.or_else(|| ranked.first().map(|&(depth, x)| (false, depth, x)))?;
     // Climb the smallest distance: along the normals of the nearest planes, then along the axes.
     let mut step = size * 0.25;
     let mut rounds = 0;
