@@ -55,6 +55,8 @@ pub enum Weight {
     Strict,
     /// Times a factor, for what the boundary forces.
     Relieved(f64),
+    /// As [`lenient`] makes it.
+    Lenient,
 }
 
 impl Weight {
@@ -65,6 +67,7 @@ impl Weight {
             Self::Plain => grade,
             Self::Strict => strict(grade),
             Self::Relieved(factor) => grade * factor,
+            Self::Lenient => lenient(grade),
         }
     }
 }
@@ -140,6 +143,13 @@ pub fn strict(grade: f64) -> f64 {
     if grade >= limit || grade <= 0.0 { grade } else { grade * (grade / limit).powi(12) }
 }
 
+/// The grade of a tet at the boundary where those off it are to be bettered at any price: its eighth root, so that a tet of a
+/// hundredth of a degree counts as much as one off the boundary of 15 degrees.
+#[inline]
+pub fn lenient(grade: f64) -> f64 {
+    if grade <= 0.0 { grade } else { grade.sqrt().sqrt().sqrt() }
+}
+
 /// The biased sine; tets with skew faces are bad, the skewer the worse: but, up to a skewness of 100, not as bad as
 /// [`strict`] makes tets off the boundary at the angles demanded, 12 and 158 degrees.
 #[derive(Debug, Clone, Copy, Default)]
@@ -167,8 +177,20 @@ pub struct StrictInside<'a, G = BiasedSine> {
     pub angles: G,
     /// Which vertices lie on the boundary; those beyond the end do not.
     pub on_boundary: &'a [bool],
-    /// Needles of the boundary: tets on them are forced to be bad.
-    pub needles: Option<&'a NeedleFaces>,
+    /// What counts as better than it is.
+    pub relief: Relief<'a>,
+}
+
+/// Which tets at the boundary count as better than they are.
+#[derive(Debug, Clone, Copy, Default)]
+pub enum Relief<'a> {
+    /// None.
+    #[default]
+    Nothing,
+    /// Those on needles, which are forced to be bad.
+    Needles(&'a NeedleFaces),
+    /// All ([`lenient`]).
+    Boundary,
 }
 
 impl<G: TetMeasure> TetMeasure for StrictInside<'_, G> {
@@ -187,9 +209,13 @@ impl<G: TetMeasure> TetMeasure for StrictInside<'_, G> {
         if self.is_strict(vertices) {
             return Weight::Strict;
         }
-        match self.needles.map_or(1.0, |needles| needles.relief(vertices)) {
-            relief if relief > 1.0 => Weight::Relieved(relief),
-            _ => Weight::Plain,
+        match self.relief {
+            Relief::Nothing => Weight::Plain,
+            Relief::Boundary => Weight::Lenient,
+            Relief::Needles(needles) => match needles.relief(vertices) {
+                factor if factor > 1.0 => Weight::Relieved(factor),
+                _ => Weight::Plain,
+            },
         }
     }
 }
@@ -294,7 +320,10 @@ mod tests {
         assert!(strict(0.9 * limit) > strict(0.8 * limit) && strict(0.8 * limit) > 0.0);
         // A tet off the boundary at 12 degrees counts less than one on it at 5.
         assert!(strict(12.0f64.to_radians().sin()) < 6.0f64.to_radians().sin());
-        let measure = StrictInside { angles: BiasedSine, on_boundary: &[true, false], needles: None };
+        // With leniency at the boundary, less than one there of a hundredth of a degree.
+        let sliver = 0.01f64.to_radians().sin();
+        assert!(lenient(sliver) > limit && lenient(0.5 * sliver) < lenient(sliver) && lenient(-1.0) == -1.0);
+        let measure = StrictInside { angles: BiasedSine, on_boundary: &[true, false], relief: Relief::Nothing };
         assert!(!measure.is_strict(&[VertexId(0), VertexId(1)]) && measure.is_strict(&[VertexId(1), VertexId(9)]));
     }
 

@@ -4,10 +4,14 @@
 //! A sliver has a dihedral angle below 2 or above 178 degrees. It is forced where two walls of it meet at the bad angle, or a
 //! wall of it has an own angle beyond the limits: a needle's tet has hardly an angle larger than the needle's tip.
 //!
+//! Between walls much closer than their triangles are wide no angle of the boundary is bad, but nearly every tet is a sliver. There
+//! slivers crowd ([`crowded_slivers`]): what betters one of them leaves the others, at the price of points far too close.
+//!
 //! # Invariants
 //! Walls are the constrained faces; the ends of a piece of a mesh are none.
 
 use glam::DVec3;
+use rustc_hash::FxHashSet;
 
 use crate::geometry::tetrahedron::{dihedral_angles, dihedral_cosines};
 use crate::index::TetId;
@@ -15,6 +19,7 @@ use crate::mesh::numbering::{TET_FACES, TET_OPPOSITE_EDGES};
 use crate::mesh::quality::SLIVER_DEGREES;
 use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
+use crate::mesh::topology::collect_ball;
 
 /// The cosine of the largest angle of a tet that is a sliver.
 pub fn sliver_cosine(corners: [DVec3; 4]) -> Option<f64> {
@@ -41,6 +46,26 @@ pub fn is_forced_sliver(complex: &TetComplex, tet: TetId) -> bool {
     (0..4).any(|face| is_wall(face) && has_extreme_corner(face)) || (0..6).any(meets_between_walls)
 }
 
+/// Share of the tets at a sliver's vertices from which slivers crowd: between thin walls it is nearly all of them.
+const CROWDED: f64 = 0.5;
+
+/// Which of some slivers have mostly others around them.
+pub fn crowded_slivers(complex: &TetComplex, slivers: &[TetId]) -> Vec<bool> {
+    let known: FxHashSet<TetId> = slivers.iter().copied().collect();
+    let mut ball = Vec::new();
+    let is_crowded = |tet: &TetId| {
+        let mut counts = [0usize; 2];
+        for vertex in complex.vertices(*tet) {
+            collect_ball(complex, vertex, *tet, &mut ball);
+            for at in ball.iter().filter(|at| !complex.is_ghost_tet(**at) && !complex.label(**at).is_background()) {
+                counts[usize::from(known.contains(at))] += 1;
+            }
+        }
+        counts[1] as f64 > CROWDED * (counts[0] + counts[1]) as f64
+    };
+    slivers.iter().map(is_crowded).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -59,6 +84,29 @@ mod tests {
         let walls = (0..4).fold(complex.flags(tet), |flags, face| flags.with_face(face, true));
         complex.set_flags(tet, walls);
         complex
+    }
+
+    /// A grid of `n` by `n` boxes of some height, six tets each.
+    fn plate(n: usize, height: f64) -> TetComplex {
+        let context = RunContext::with_threads(1).unwrap();
+        let at = |k: usize| {
+            DVec3::new((k % (n + 1)) as f64, (k / (n + 1) % (n + 1)) as f64, height * (k / (n + 1) / (n + 1)) as f64)
+        };
+        let points: Vec<DVec3> = (0..2 * (n + 1) * (n + 1)).map(at).collect();
+        let mut complex = tetrahedralize(&points, &DelaunayOptions::default(), &context).unwrap().complex;
+        let tets: Vec<TetId> = complex.finite_tets().collect();
+        tets.into_iter().for_each(|tet| complex.set_label(tet, Label(1)));
+        complex
+    }
+
+    #[test]
+    fn slivers_crowd_in_thin_plates() {
+        let (thin, thick) = (plate(6, 0.01), plate(6, 1.0));
+        let found = slivers(&thin);
+        assert!(found.len() > 150 && crowded_slivers(&thin, &found).into_iter().all(|is_crowded| is_crowded));
+        // One tet alone does not crowd, whichever it is.
+        let first: Vec<TetId> = thick.finite_tets().take(1).collect();
+        assert_eq!(crowded_slivers(&thick, &first), [false]);
     }
 
     #[test]

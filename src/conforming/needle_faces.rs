@@ -68,7 +68,7 @@ impl NeedleFaces {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::conforming::flip_criteria::{BiasedSine, StrictInside, TetMeasure, Weight};
+    use crate::conforming::flip_criteria::{BiasedSine, Relief, StrictInside, TetMeasure, Weight};
 
     #[test]
     fn a_dihedral_angle_of_the_needles_own_counts_as_the_limit() {
@@ -82,7 +82,10 @@ mod tests {
         for others in [[0, 1, 3, 4], [0, 2, 3, 4], [3, 4, 7, 8]] {
             assert_eq!(needles.relief(&others.map(VertexId)), 1.0);
         }
-        let measure = StrictInside { angles: BiasedSine, on_boundary: &[true; 5], needles: Some(&needles) };
+        let measure = StrictInside { angles: BiasedSine, on_boundary: &[true; 5], relief: Relief::Needles(&needles) };
+        let lenient = StrictInside { relief: Relief::Boundary, ..measure };
+        assert_eq!(lenient.weight(&fair), Weight::Lenient);
+        assert_eq!(lenient.weight(&[VertexId(9)]), Weight::Strict);
         assert_eq!(measure.weight(&needle), Weight::Relieved(relief));
         assert_eq!(measure.weight(&fair), Weight::Plain);
         assert_eq!(measure.weight(&[VertexId(9)]), Weight::Strict);

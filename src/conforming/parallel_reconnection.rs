@@ -617,10 +617,10 @@ impl Driver {
         }
         let room = 4 * bad.len();
         if treatment.shuns_skew_faces {
-            let measure = StrictInside { angles: UnskewedSine, on_boundary, needles: treatment.needles };
+            let measure = StrictInside { angles: UnskewedSine, on_boundary, relief: treatment.relief };
             self.run(complex, &TreatJob { sizes, measure, treatment }, bad, room)?;
         } else {
-            let measure = StrictInside { angles: BiasedSine, on_boundary, needles: treatment.needles };
+            let measure = StrictInside { angles: BiasedSine, on_boundary, relief: treatment.relief };
             self.run(complex, &TreatJob { sizes, measure, treatment }, bad, room)?;
         }
         for kit in &mut self.kits {

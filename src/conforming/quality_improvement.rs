@@ -12,10 +12,11 @@
 //! are nearly flat, or bad without a vertex on the boundary, get them wherever the points come to lie.
 //! Up to `nqualf` times, while a tet is above `angqmax`, passes and operations are repeated around these tets.
 //!
-//! Slivers that the boundary does not force then get all operations and the reconnection of small polyhedra, while tets on
+//! Slivers that the boundary does not force and that do not crowd then get all operations and the reconnection of small polyhedra, while tets on
 //! the boundary's needles count as better than they are (`needle_faces`). At the end, tets with faces that finite-volume
 //! solvers find skew get all operations under a measure that counts skewness: needles on a small triangle may lean far
-//! while their angles are good. Around what may not stay even then, iterated local search goes on (`region_search`).
+//! while their angles are good. Around what may not stay even then, iterated local search goes on (`region_search`); at last,
+//! for tets off the boundary that are still bad, whatever becomes of those at it.
 //!
 //! # Source
 //! [Drakopoulos2017] 4.9; B.3 `nqual`, `nqualf`, `angqual`, `angqmsk`, `angqmax`, `mrecqm`, `mrecqmf`, `ordtq`, `mdfs`, `ndfs`,
@@ -38,14 +39,14 @@ use std::time::Instant;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::flip_criteria::{BiasedSine, STRICT_ANGLE, StrictInside, TetMeasure, UnskewedSine};
-use super::forced_slivers::{is_forced_sliver, sliver_cosine};
+use super::flip_criteria::{BiasedSine, Relief, STRICT_ANGLE, StrictInside, TetMeasure, UnskewedSine};
+use super::forced_slivers::{crowded_slivers, is_forced_sliver, sliver_cosine};
 use super::local_reconnection::{FourFour, Objective};
 use super::needle_faces::NeedleFaces;
 use super::options::Options;
 use super::parallel_reconnection::{Crowding, Driver, FLAT_BELOW, Touched, Treatment, count_of_bad};
 use super::refinement::boundary_triangles;
-use super::region_search::{DEPTHS, RegionSearch, grade_off_boundary, may_not_stay};
+use super::region_search::{Aim, DEPTHS, RegionSearch, grade_off_boundary, may_not_stay};
 use super::smoothing::{Acceptance, SmoothingRule, Target};
 use crate::context::RunContext;
 use crate::error::Result;
@@ -516,7 +517,7 @@ impl Improver<'_> {
         for _ in 0..LAST_ROUNDS {
             self.context.check()?;
             let mut bad = self.known.tets_below(complex, self.context, &scope, limit);
-            let measure = StrictInside { angles: BiasedSine, on_boundary: self.on_boundary, needles: None };
+            let measure = StrictInside { angles: BiasedSine, on_boundary: self.on_boundary, relief: Relief::Nothing };
             bad.retain(|&tet| {
                 measure.is_strict(&complex.vertices(tet)) || BiasedSine.grade(complex.points_of(tet)) < flat
             });
@@ -541,7 +542,9 @@ impl Improver<'_> {
         for _ in 0..LAST_ROUNDS {
             self.context.check()?;
             let mut bad = self.known.tets_below(complex, self.context, &Scope::default(), limit);
-            bad.retain(|&tet| sliver_cosine(complex.points_of(tet)).is_some() && !is_forced_sliver(complex, tet));
+            bad.retain(|&tet| sliver_cosine(complex.points_of(tet)).is_some());
+            let mut crowded = crowded_slivers(complex, &bad).into_iter();
+            bad.retain(|&tet| crowded.next() == Some(false) && !is_forced_sliver(complex, tet));
             if bad.is_empty() {
                 break;
             }
@@ -560,7 +563,7 @@ impl Improver<'_> {
     /// not force, and tets off the boundary with angles near those demanded.
     fn search_regions(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>) -> Result<[usize; 2]> {
         let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
-        let mut search = RegionSearch::new(self.options, self.context, goal);
+        let mut search = RegionSearch::new(self.options, self.context, goal, Aim::FewerBad);
         if !self.options.delete_field_slivers {
             return Ok(search.counts);
         }
@@ -581,6 +584,32 @@ impl Improver<'_> {
                 if search.counts[1] == before {
                     break;
                 }
+            }
+        }
+        let more = self.treat_off_boundary(complex, sizes)?;
+        Ok([0, 1].map(|i| search.counts[i] + more[i]))
+    }
+
+    /// All operations and the iterated local search at the tets off the boundary that are still beyond the angles demanded,
+    /// whatever becomes of those at the boundary: between walls that nearly meet slivers cannot be avoided, but off them.
+    fn treat_off_boundary(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>) -> Result<[usize; 2]> {
+        let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
+        let measure = StrictInside { angles: BiasedSine, on_boundary: self.on_boundary, relief: Relief::Nothing };
+        let mut search = RegionSearch::new(self.options, self.context, goal, Aim::OffBoundary);
+        let mut before = usize::MAX;
+        for _ in 0..LAST_ROUNDS {
+            self.context.check()?;
+            let mut bad = self.known.tets_below(complex, self.context, &Scope::default(), grade_off_boundary());
+            bad.retain(|&tet| measure.is_strict(&complex.vertices(tet)));
+            if bad.is_empty() || bad.len() >= before {
+                break;
+            }
+            before = bad.len();
+            self.driver.treat(complex, sizes, self.on_boundary, bad, &Treatment::off_boundary(goal))?;
+            let mut bad = self.known.tets_below(complex, self.context, &Scope::default(), grade_off_boundary());
+            bad.retain(|&tet| measure.is_strict(&complex.vertices(tet)));
+            for tet in bad {
+                while complex.is_live(tet) && search.search(complex, sizes, self.on_boundary, (tet, DEPTHS[1]))? {}
             }
         }
         Ok(search.counts)

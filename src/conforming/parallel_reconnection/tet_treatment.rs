@@ -20,7 +20,7 @@
 use glam::DVec3;
 
 use super::super::edge_lengths::keeps_lengths;
-use super::super::flip_criteria::{BiasedSine, STRICT_ANGLE, StrictInside, TetMeasure, UnskewedSine};
+use super::super::flip_criteria::{BiasedSine, Relief, STRICT_ANGLE, StrictInside, TetMeasure, UnskewedSine};
 use super::super::flips::{Accept, Outcome, plan_edge_removal, plan_face_removal, plan_vertex_removal};
 use super::super::needle_faces::NeedleFaces;
 use super::super::sliver_removal::{InsertionLimits, plan_grown_insertion, plan_sliver_insertion};
@@ -95,8 +95,8 @@ pub struct Treatment<'a> {
     pub goal: f64,
     /// Whether skew faces make a tet bad.
     pub shuns_skew_faces: bool,
-    /// Needles of the boundary whose tets count as better than they are.
-    pub needles: Option<&'a NeedleFaces>,
+    /// Tets at the boundary that count as better than they are.
+    pub relief: Relief<'a>,
 }
 
 impl<'a> Treatment<'a> {
@@ -110,7 +110,7 @@ impl<'a> Treatment<'a> {
             crowding,
             goal,
             shuns_skew_faces: false,
-            needles: None,
+            relief: Relief::Nothing,
         }
     }
 
@@ -121,7 +121,16 @@ impl<'a> Treatment<'a> {
 
     /// All operations, and the reconnection of small polyhedra, for the sake of what no needle of the boundary forces.
     pub fn last_resort(goal: f64, needles: &'a NeedleFaces) -> Self {
-        Self { reconnects_polyhedra: true, needles: Some(needles), ..Self::everything(goal, Crowding::Allowed) }
+        Self {
+            reconnects_polyhedra: true,
+            relief: Relief::Needles(needles),
+            ..Self::everything(goal, Crowding::Allowed)
+        }
+    }
+
+    /// All operations, for the sake of tets off the boundary whatever becomes of those at it.
+    pub fn off_boundary(goal: f64) -> Self {
+        Self { reconnects_polyhedra: true, relief: Relief::Boundary, ..Self::everything(goal, Crowding::Allowed) }
     }
 
     /// All operations, for the sake of skew faces.
@@ -452,7 +461,7 @@ mod tests {
         let over = |height: f64| [DVec3::ZERO, DVec3::X, DVec3::new(0.5, 0.9, 0.0), DVec3::new(0.5, 0.3, height)];
         let (inside, beside) = ([4, 5, 6, 7].map(VertexId), [0, 5, 6, 7].map(VertexId));
         let lengths = |row: &[VertexId; 4], height, treatment: &Treatment| {
-            let measure = StrictInside { angles: BiasedSine, on_boundary: &[true; 4], needles: None };
+            let measure = StrictInside { angles: BiasedSine, on_boundary: &[true; 4], relief: Relief::Nothing };
             TreatJob { sizes: &[], measure, treatment }.lengths_at(row, over(height))
         };
         for crowding in [Crowding::Allowed, Crowding::Refused] {
