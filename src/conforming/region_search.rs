@@ -10,6 +10,9 @@
 //!    +---------------------------+          4. Where fewer tets are left that may not stay, it replaces those of the mesh;
 //!                                              else the best of all goes on from there, a few times.
 //! ```
+//! A search for tets off the boundary ([`Aim::OffBoundary`]) counts only these; the others are taken as good until they are
+//! slivers of a hundredth of a degree.
+//!
 //! # Source
 //! [LourencoMartinStutzle2003] for the search; the operations are those of [`super::parallel_reconnection`].
 //!
