@@ -1,144 +1,140 @@
-//! The replacements of tets in the order they were made, so that any of them can be taken back later.
+//! What a mesh was before the changes of a trial, so that all of them can be taken back.
 //!
 //! # Method
-//! A change is a row of tets that went and a row of tets that came. Each tet that came remembers its slot while it lives, and
-//! the change that took it afterwards. A change can be undone when all tets it brought are live, that is after those changes
-//! that took them; what comes back is then joined to the change that had brought it.
+//! While a trial is open, each replacement of tets, each move and each new vertex adds an entry. Taking a trial back goes
+//! through its entries from the last to the first; each undoes exactly what was done, down to the slots of the tets. Trials
+//! nest: a step that tries something within a larger trial takes back its own entries only. When the outermost trial ends the
+//! log is emptied.
 //!
 //! # Invariants
-//! Undoing fills the same space with the tets there were before, so the mesh conforms after each step.
+//! Outside of trials the log is empty.
 //!
 //! # Cost
-//! 32 bytes per tet of a change and 4 per slot.
+//! 24 bytes per tet of a replacement, 32 per entry, as long as a trial is open.
+
+use glam::DVec3;
 
 use crate::index::Label;
 
-/// No row, no change, no slot.
-pub const NONE: u32 = u32::MAX;
-
-/// A tet that went or came.
+/// A tet that a replacement took.
 #[derive(Debug, Clone, Copy)]
-struct Row {
-    tet: [u32; 4],
-    label: Label,
-    /// A tet that went: the row of it when it came, `NONE` for one of the first mesh. A tet that came: its slot.
-    link: u32,
-    /// A tet that came: the change that took it, `NONE` while it is live.
-    taken_by: u32,
+pub struct Taken {
+    /// Its slot.
+    pub slot: u32,
+    /// Its vertices.
+    pub tet: [u32; 4],
+    /// Its label.
+    pub label: Label,
 }
 
-/// Where the rows of a change are.
-#[derive(Debug, Clone, Copy, Default)]
-struct Change {
-    first_old: u32,
-    first_new: u32,
-    end: u32,
+/// A slot that a replacement filled.
+#[derive(Debug, Clone, Copy)]
+pub struct Filled {
+    /// The slot.
+    pub slot: u32,
+    /// Whether there was no free slot, so that it was appended.
+    pub is_new: bool,
 }
 
-/// Changes of a mesh of tets in slots.
+/// One change.
+#[derive(Debug, Clone, Copy)]
+enum Entry {
+    /// A vertex moved, from there.
+    Move(u32, DVec3),
+    /// A vertex was added.
+    Vertex,
+    /// Tets were replaced: how many were taken and filled in.
+    Replacement { taken: u32, filled: u32 },
+}
+
+/// The last change, taken from the log.
+#[derive(Debug, Clone)]
+pub enum Undone {
+    /// A vertex moved, from there.
+    Move(u32, DVec3),
+    /// A vertex was added.
+    Vertex,
+    /// Tets were replaced.
+    Replacement(Vec<Taken>, Vec<Filled>),
+}
+
+/// A time to come back to.
+#[derive(Debug, Clone, Copy)]
+#[must_use]
+pub struct Mark(usize);
+
+/// The changes since the outermost open trial began.
 #[derive(Debug, Clone, Default)]
 pub struct ChangeLog {
-    rows: Vec<Row>,
-    changes: Vec<Change>,
-    /// The row of the tet in each slot, `NONE` for one of the first mesh.
-    row_of: Vec<u32>,
+    open: usize,
+    entries: Vec<Entry>,
+    taken: Vec<Taken>,
+    filled: Vec<Filled>,
 }
 
 impl ChangeLog {
-    /// The log of a mesh of so many tets that has not changed yet.
-    pub fn new(tets: usize) -> Self {
-        Self { row_of: vec![NONE; tets], ..Self::default() }
+    /// Whether changes are to be noted.
+    #[inline]
+    pub fn is_open(&self) -> bool {
+        self.open > 0
     }
 
-    /// A new change begins.
-    pub fn begin(&mut self) {
-        let at = self.rows.len() as u32;
-        self.changes.push(Change { first_old: at, first_new: at, end: at });
+    /// A trial begins.
+    pub fn begin(&mut self) -> Mark {
+        self.open += 1;
+        Mark(self.entries.len())
     }
 
-    /// The change takes the tet in a slot; all of these come before those it brings.
-    pub fn remove(&mut self, slot: u32, tet: [u32; 4], label: Label) {
-        let change = self.changes.len() as u32 - 1;
-        let link = std::mem::replace(&mut self.row_of[slot as usize], NONE);
-        if let Some(row) = self.rows.get_mut(link as usize) {
-            row.taken_by = change;
-        }
-        self.rows.push(Row { tet, label, link, taken_by: NONE });
-        let end = self.rows.len() as u32;
-        if let Some(last) = self.changes.last_mut() {
-            (last.first_new, last.end) = (end, end);
+    /// The trial that began last ends; what it changed stays part of the trial around it.
+    pub fn end(&mut self) {
+        self.open -= 1;
+        if self.open == 0 {
+            self.entries.clear();
+            self.taken.clear();
+            self.filled.clear();
         }
     }
 
-    /// The change brings a tet into a slot.
-    pub fn add(&mut self, slot: u32, tet: [u32; 4], label: Label) {
-        self.set_row(slot, self.rows.len() as u32);
-        self.rows.push(Row { tet, label, link: slot, taken_by: NONE });
-        if let Some(last) = self.changes.last_mut() {
-            last.end = self.rows.len() as u32;
+    /// A vertex moves away from a place.
+    pub fn note_move(&mut self, v: u32, from: DVec3) {
+        self.entries.push(Entry::Move(v, from));
+    }
+
+    /// A vertex is added.
+    pub fn note_vertex(&mut self) {
+        self.entries.push(Entry::Vertex);
+    }
+
+    /// Tets are replaced.
+    pub fn note_replacement(&mut self, taken: impl Iterator<Item = Taken>, filled: impl Iterator<Item = Filled>) {
+        let before = (self.taken.len(), self.filled.len());
+        self.taken.extend(taken);
+        self.filled.extend(filled);
+        let (taken, filled) = ((self.taken.len() - before.0) as u32, (self.filled.len() - before.1) as u32);
+        self.entries.push(Entry::Replacement { taken, filled });
+    }
+
+    /// Takes the last change since the mark out of the log.
+    pub fn pop(&mut self, mark: Mark) -> Option<Undone> {
+        if self.entries.len() <= mark.0 {
+            return None;
         }
-    }
-
-    fn set_row(&mut self, slot: u32, row: u32) {
-        if slot as usize >= self.row_of.len() {
-            self.row_of.resize(slot as usize + 1, NONE);
-        }
-        self.row_of[slot as usize] = row;
-    }
-
-    /// The last change.
-    pub fn last(&self) -> Option<u32> {
-        (self.changes.len() as u32).checked_sub(1)
-    }
-
-    /// The change that brought the tet in a slot; `None` for one of the first mesh.
-    pub fn change_of(&self, slot: u32) -> Option<u32> {
-        let row = self.row_of[slot as usize];
-        (row != NONE).then(|| self.changes.partition_point(|c| c.end <= row) as u32)
-    }
-
-    /// A later change that must be undone before this one.
-    pub fn blocker(&self, change: u32) -> Option<u32> {
-        self.brought(change).map(|row| row.taken_by).find(|c| *c != NONE)
-    }
-
-    fn brought(&self, change: u32) -> impl Iterator<Item = &Row> {
-        let change = &self.changes[change as usize];
-        self.rows[change.first_new as usize..change.end as usize].iter()
-    }
-
-    /// Slots of the tets that a change brought; it has no blocker.
-    pub fn slots(&self, change: u32) -> Vec<u32> {
-        self.brought(change).map(|row| row.link).filter(|slot| *slot != NONE).collect()
-    }
-
-    /// The tets that a change took.
-    pub fn taken(&self, change: u32) -> Vec<([u32; 4], Label)> {
-        let change = &self.changes[change as usize];
-        let rows = &self.rows[change.first_old as usize..change.first_new as usize];
-        rows.iter().map(|row| (row.tet, row.label)).collect()
-    }
-
-    /// The tets that a change took are back in these slots, and what it brought is gone.
-    pub fn forget(&mut self, change: u32, slots: &[u32]) {
-        let at = self.changes[change as usize];
-        for row in at.first_new..at.end {
-            let slot = std::mem::replace(&mut self.rows[row as usize].link, NONE);
-            // The slot may hold one of the tets that came back.
-            if self.row_of.get(slot as usize) == Some(&row) {
-                self.row_of[slot as usize] = NONE;
+        self.entries.pop().map(|entry| match entry {
+            Entry::Move(v, from) => Undone::Move(v, from),
+            Entry::Vertex => Undone::Vertex,
+            Entry::Replacement { taken, filled } => {
+                let taken = self.taken.split_off(self.taken.len() - taken as usize);
+                Undone::Replacement(taken, self.filled.split_off(self.filled.len() - filled as usize))
             }
-        }
-        for (row, slot) in (at.first_old..at.first_new).zip(slots) {
-            let link = self.rows[row as usize].link;
-            if let Some(maker) = self.rows.get_mut(link as usize) {
-                (maker.link, maker.taken_by) = (*slot, NONE);
-            }
-            self.set_row(*slot, link);
-        }
-        if change as usize + 1 == self.changes.len() {
-            self.rows.truncate(at.first_old as usize);
-            self.changes.pop();
-        }
+        })
+    }
+
+    /// The vertices that moved since the mark, and those of tets that were taken; some more than once.
+    pub fn touched(&self, mark: Mark) -> Vec<u32> {
+        let entries = &self.entries[mark.0..];
+        let taken: u32 =
+            entries.iter().map(|e| if let Entry::Replacement { taken, .. } = e { *taken } else { 0 }).sum();
+        let moved = entries.iter().filter_map(|e| if let Entry::Move(v, _) = e { Some(*v) } else { None });
+        moved.chain(self.taken[self.taken.len() - taken as usize..].iter().flat_map(|row| row.tet)).collect()
     }
 }

@@ -82,7 +82,7 @@ fn split_chord(mesh: &mut ImprovementMesh, a: u32, b: u32, bound: f64) -> bool {
 fn place_first(mesh: &mut ImprovementMesh, v: u32, places: &[DVec3], needed: &Threshold) -> bool {
     mesh.with_ball(v, |mesh, ball| {
         let found = places.iter().find(|place| ball.score_above(**place, needed).is_some());
-        found.inspect(|place| mesh.points[v as usize] = **place).is_some()
+        found.inspect(|place| mesh.move_vertex(v, **place)).is_some()
     })
 }
 

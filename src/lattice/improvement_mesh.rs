@@ -18,7 +18,7 @@ use rustc_hash::FxHashMap;
 use crate::index::{Label, VertexId};
 use crate::lattice::boundary_targets::SourcePoints;
 use crate::lattice::candidate_mesh::{CandidateMesh, MergeableCube};
-use crate::lattice::change_log::ChangeLog;
+use crate::lattice::change_log::{ChangeLog, Filled, Mark, Taken, Undone};
 use crate::lattice::element_score::{Ball, Part, Threshold, lowest_score, part_fails, part_score};
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::lattice::surface_stars::SurfaceStars;
@@ -49,19 +49,6 @@ pub struct ImprovementMesh<'a> {
     stars: SurfaceStars,
     /// The vertices that the scaffold brought.
     still: Range<u32>,
-}
-
-/// The state of a mesh at some time.
-#[derive(Debug, Clone)]
-pub struct Snapshot {
-    points: Vec<DVec3>,
-    tets: Vec<[u32; 4]>,
-    labels: Vec<Label>,
-    fixed: Vec<bool>,
-    balls: Vec<Vec<u32>>,
-    side_set: Vec<u32>,
-    free: Vec<u32>,
-    log: ChangeLog,
 }
 
 /// A face of the ball of a vertex that separates two sides: the other two vertices.
@@ -118,7 +105,7 @@ impl<'a> ImprovementMesh<'a> {
         fixed[in_mesh..].fill(true);
         let mut result = Self {
             side_set: vec![0; points.len()],
-            log: ChangeLog::new(tets.len()),
+            log: ChangeLog::default(),
             stars: SurfaceStars::new(points.len()),
             still: in_mesh as u32..points.len() as u32,
             points,
@@ -167,31 +154,40 @@ impl<'a> ImprovementMesh<'a> {
         }
     }
 
-    /// The present state, to come back to.
-    pub fn snapshot(&self) -> Snapshot {
-        Snapshot {
-            points: self.points.clone(),
-            tets: self.tets.clone(),
-            labels: self.labels.clone(),
-            fixed: self.fixed.clone(),
-            balls: self.balls.clone(),
-            side_set: self.side_set.clone(),
-            free: self.free.clone(),
-            log: self.log.clone(),
-        }
+    /// A trial begins, which can be taken back until it ends.
+    pub fn begin_trial(&mut self) -> Mark {
+        self.log.begin()
     }
 
-    /// Comes back to an earlier state.
-    pub fn restore(&mut self, state: Snapshot) {
-        self.points = state.points;
-        self.tets = state.tets;
-        self.labels = state.labels;
-        self.fixed = state.fixed;
-        self.balls = state.balls;
-        self.side_set = state.side_set;
-        self.free = state.free;
-        self.log = state.log;
-        self.stars = SurfaceStars::new(self.points.len());
+    /// The trial that began last ends; its changes stay.
+    pub fn keep_trial(&mut self) {
+        self.log.end();
+    }
+
+    /// The trial that began last, at the mark, ends; its changes are taken back.
+    pub fn take_back(&mut self, mark: Mark) {
+        while let Some(change) = self.log.pop(mark) {
+            match change {
+                Undone::Move(v, from) => self.points[v as usize] = from,
+                Undone::Vertex => self.remove_last_vertex(),
+                Undone::Replacement(taken, filled) => self.put_back(&taken, &filled),
+            }
+        }
+        self.log.end();
+    }
+
+    /// The vertices that changes since the mark of an open trial moved or took tets from; some more than once.
+    pub fn touched_since(&self, mark: Mark) -> Vec<u32> {
+        self.log.touched(mark)
+    }
+
+    /// Moves a vertex.
+    #[inline]
+    pub fn move_vertex(&mut self, v: u32, place: DVec3) {
+        if self.log.is_open() {
+            self.log.note_move(v, self.points[v as usize]);
+        }
+        self.points[v as usize] = place;
     }
 
     fn intern(&mut self, set: Vec<Side>) -> u32 {
@@ -402,22 +398,13 @@ impl<'a> ImprovementMesh<'a> {
 
     /// Replaces a group of tets; returns the slots of the new ones.
     pub fn replace(&mut self, old: &[u32], new: &[([u32; 4], Label)]) -> Vec<u32> {
-        self.log.begin();
-        old.iter().for_each(|t| self.log.remove(*t, self.tets[*t as usize], self.labels[*t as usize]));
-        let slots = self.exchange(old, new);
-        slots.iter().zip(new).for_each(|(slot, (tet, label))| self.log.add(*slot, *tet, *label));
-        slots
-    }
-
-    fn exchange(&mut self, old: &[u32], new: &[([u32; 4], Label)]) -> Vec<u32> {
+        let noted = self.log.is_open().then(|| {
+            let taken =
+                |slot: &u32| Taken { slot: *slot, tet: self.tets[*slot as usize], label: self.labels[*slot as usize] };
+            (old.iter().map(taken).collect::<Vec<Taken>>(), self.tets.len() as u32)
+        });
         for &t in old {
-            for v in std::mem::replace(&mut self.tets[t as usize], DEAD) {
-                self.stars.invalidate(v);
-                let ball = &mut self.balls[v as usize];
-                if let Some(at) = ball.iter().position(|u| *u == t) {
-                    ball.swap_remove(at);
-                }
-            }
+            self.take_from_balls(t);
             self.free.push(t);
         }
         let mut slots = Vec::with_capacity(new.len());
@@ -427,54 +414,52 @@ impl<'a> ImprovementMesh<'a> {
                 self.labels.push(*label);
                 self.tets.len() as u32 - 1
             });
-            self.tets[slot as usize] = *tet;
-            self.labels[slot as usize] = *label;
-            for v in tet {
-                self.stars.invalidate(*v);
-                self.balls[*v as usize].push(slot);
-            }
+            self.fill(slot, *tet, *label);
             slots.push(slot);
+        }
+        if let Some((taken, slot_count)) = noted {
+            let filled = slots.iter().map(|slot| Filled { slot: *slot, is_new: *slot >= slot_count });
+            self.log.note_replacement(taken.into_iter(), filled);
         }
         slots
     }
 
-    /// Takes the last replacement back.
-    pub fn take_back(&mut self) {
-        if let Some(change) = self.log.last() {
-            self.undo_one(change);
-        }
-    }
-
-    /// The replacement that made a tet; `None` for one of the first mesh.
-    pub fn change_of(&self, t: u32) -> Option<u32> {
-        self.log.change_of(t)
-    }
-
-    /// Takes a replacement back, and before it those that built on it. Returns vertices that have tets again.
-    pub fn undo(&mut self, change: u32) -> Vec<u32> {
-        let mut back = Vec::new();
-        let mut stack = vec![change];
-        while let Some(&change) = stack.last() {
-            match self.log.blocker(change) {
-                Some(blocker) => stack.push(blocker),
-                None => {
-                    back.extend(self.undo_one(change));
-                    stack.pop();
-                }
+    fn take_from_balls(&mut self, t: u32) {
+        for v in std::mem::replace(&mut self.tets[t as usize], DEAD) {
+            self.stars.invalidate(v);
+            let ball = &mut self.balls[v as usize];
+            if let Some(at) = ball.iter().position(|u| *u == t) {
+                ball.swap_remove(at);
             }
         }
-        back
     }
 
-    fn undo_one(&mut self, change: u32) -> Vec<u32> {
-        let (slots, rows) = (self.log.slots(change), self.log.taken(change));
-        let mut back: Vec<u32> =
-            rows.iter().flat_map(|(tet, _)| *tet).filter(|v| self.balls[*v as usize].is_empty()).collect();
-        let slots = self.exchange(&slots, &rows);
-        self.log.forget(change, &slots);
-        back.sort_unstable();
-        back.dedup();
-        back
+    fn fill(&mut self, slot: u32, tet: [u32; 4], label: Label) {
+        self.tets[slot as usize] = tet;
+        self.labels[slot as usize] = label;
+        for v in tet {
+            self.stars.invalidate(v);
+            self.balls[v as usize].push(slot);
+        }
+    }
+
+    /// Undoes [`replace`](Self::replace), the last one: all tets get their slots again.
+    fn put_back(&mut self, taken: &[Taken], filled: &[Filled]) {
+        for Filled { slot, is_new } in filled.iter().rev() {
+            self.take_from_balls(*slot);
+            if *is_new {
+                // The last one that was appended is the last one there is.
+                self.tets.pop();
+                self.labels.pop();
+            } else {
+                self.free.push(*slot);
+            }
+        }
+        for Taken { slot, tet, label } in taken.iter().rev() {
+            let last = self.free.pop();
+            debug_assert_eq!(last, Some(*slot));
+            self.fill(*slot, *tet, *label);
+        }
     }
 
     /// Works on a vertex with its ball gathered into the mesh's own buffer.
@@ -494,6 +479,9 @@ impl<'a> ImprovementMesh<'a> {
     /// A new vertex without tets.
     pub fn add_vertex(&mut self, point: DVec3, sides: Vec<Side>) -> u32 {
         let set = self.intern(sides);
+        if self.log.is_open() {
+            self.log.note_vertex();
+        }
         self.points.push(point);
         self.balls.push(Vec::new());
         self.side_set.push(set);
@@ -502,7 +490,7 @@ impl<'a> ImprovementMesh<'a> {
     }
 
     /// Takes the last vertex away again; it has no tets.
-    pub fn remove_last_vertex(&mut self) {
+    fn remove_last_vertex(&mut self) {
         debug_assert!(self.balls.last().is_some_and(Vec::is_empty));
         self.points.pop();
         self.balls.pop();

@@ -44,7 +44,7 @@ const LONGEST_RING: usize = 7;
 const SMALLEST_NORMAL_COSINE: f64 = 0.6;
 
 /// Scores above which nothing more is gained from a vertex optimisation inside of a plan.
-const ENOUGH: f64 = 30.0;
+pub const ENOUGH: f64 = 30.0;
 
 /// Counts of successful transformations.
 #[derive(Debug, Clone, Copy, Default)]
@@ -407,6 +407,7 @@ pub fn insert_in_edge(
     is_good: impl FnOnce(&mut ImprovementMesh, u32) -> bool,
 ) -> bool {
     let old = mesh.rows(shell);
+    let trial = mesh.begin_trial();
     let m = mesh.add_vertex(place, sides);
     let mut new = Vec::with_capacity(2 * old.len());
     for (tet, label) in &old {
@@ -415,10 +416,10 @@ pub fn insert_in_edge(
     }
     mesh.replace(shell, &new);
     if is_good(mesh, m) {
+        mesh.keep_trial();
         return true;
     }
-    mesh.take_back();
-    mesh.remove_last_vertex();
+    mesh.take_back(trial);
     false
 }
 
@@ -471,17 +472,18 @@ fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool
             if shell.iter().any(|n| *n != t && mesh.labels[*n as usize] != other) {
                 return false;
             }
-            let [t] = mesh.replace(&[t], &[(tet, other)])[..] else { return false };
             let score = lowest_shape(mesh, &[t]);
-            if remove_edge(mesh, a, b, score) {
-                return true;
-            }
+            let trial = mesh.begin_trial();
+            mesh.replace(&[t], &[(tet, other)]);
+            let is_removed = remove_edge(mesh, a, b, score);
             // A scaffold may be flat, and the ends of the edge keep other tets, or they would be lost.
             let is_used = |v: u32| mesh.ball(v).iter().any(|n| mesh.part(*n) == Part::Mesh);
-            if part_of(other) == Part::Scaffold && score >= SCAFFOLD_ANGLE && is_used(a) && is_used(b) {
+            let may_stay = || part_of(other) == Part::Scaffold && score >= SCAFFOLD_ANGLE && is_used(a) && is_used(b);
+            if is_removed || may_stay() {
+                mesh.keep_trial();
                 return true;
             }
-            mesh.take_back();
+            mesh.take_back(trial);
             false
         }
         _ => false,

@@ -8,7 +8,7 @@
 //!    voxel count of every label reaches its fidelity ([`voxel_fidelity`]); the loop is [`adaptive_refinement`].
 //! 5. Labels by centroid, relabelled so that surfaces can move ([`element_labels`]).
 //! 6. Smoothing ([`smoothing`]): the lattice is cut flat at the image border ([`border_clipping`]), surfaces are pulled to the
-//!    image boundary, elements improved; around what stays bad the smoothing is taken back ([`local_undo`]).
+//!    image boundary, elements improved, around what stays bad by a search ([`iterated_search`]).
 //! 7. World coordinates, surfaces, mid-edge nodes ([`finishing`]).
 //!
 //! # Source
@@ -37,9 +37,9 @@ pub mod image_contacts;
 pub mod improvement_mesh;
 pub mod interface_carving;
 pub mod interface_topology;
+pub mod iterated_search;
 pub mod lattice_improvement;
 pub mod local_transformations;
-pub mod local_undo;
 pub mod loose_pieces;
 pub mod mesh_regions;
 pub mod missed_voxels;

@@ -94,7 +94,7 @@ fn move_apart(mesh: &mut ImprovementMesh, a: u32, b: u32, wanted: f64) {
         if let Some(place) = target
             && place.distance_squared(from) > mesh.points[v as usize].distance_squared(from)
         {
-            mesh.points[v as usize] = place;
+            mesh.move_vertex(v, place);
         }
     }
 }

@@ -117,7 +117,7 @@ pub fn relax_inside(mesh: &mut ImprovementMesh, v: u32, bound: f64) -> bool {
         let needed = Threshold::of(before);
         let found = steps(place, mean, &[0.8, 0.4, 0.2])
             .find(|trial| ball.score_above(*trial, &needed).is_some_and(|score| score > before));
-        found.inspect(|trial| mesh.points[v as usize] = *trial).is_some()
+        found.inspect(|trial| mesh.move_vertex(v, *trial)).is_some()
     })
 }
 
@@ -177,7 +177,9 @@ fn search_place(mesh: &mut ImprovementMesh, v: u32, wanted: f64, slack: f64, bal
             }
         }
     }
-    mesh.points[v as usize] = place;
+    if place != start {
+        mesh.move_vertex(v, place);
+    }
     best
 }
 
