@@ -114,8 +114,8 @@ mod tests {
         let (from, to) = (DVec3::new(9.2, 10.7, 10.4), DVec3::new(9.2, 10.7, 10.4) + axis * 18.0);
         let rod = |p: DVec3| (p - from - axis * (p - from).dot(axis).clamp(0.0, (to - from).length())).length() - 1.7;
         let (chords, farthest) = split(&voxel_image(34, |p| u16::from(rod(p) < 0.0)), rod);
-        // Measured 10 and 0.36.
-        assert!(chords > 0.0 && farthest < 0.6, "{chords} {farthest}");
+        // Measured 91 and 0.28; 10 and 0.36 where edges could cut off 0.35 voxel.
+        assert!(chords > 0.0 && farthest < 0.35, "{chords} {farthest}");
         let ball = |p: DVec3| p.distance(DVec3::new(15.3, 15.8, 16.1)) - 11.0;
         let (chords, farthest) = split(&voxel_image(32, |p| u16::from(ball(p) < 0.0)), ball);
         assert!(chords == 0.0 && farthest < 0.5, "{chords} {farthest}");

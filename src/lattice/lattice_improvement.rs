@@ -61,9 +61,12 @@ const RELAXATION_BOUNDS: [f64; 5] = [4.0, 5.0, 8.0, 15.2, 15.2];
 const ROUNDS: usize = RELAXATION_BOUNDS.len();
 
 /// Rounds in which surface edges are split where they cut off what bends, and how far off their middles are then, in voxels of
-/// the smallest spacing. The second one splits the halves of thin rings again.
+/// the smallest spacing. The second one splits the halves of thin rings again. On vessels of 1.5 to 4 voxels radius the
+/// largest distances of the mesh from the exact surface are 0.92, 0.73, 0.83 voxel with 0.35, and 0.86, 0.62, 0.69 with 0.2, the
+/// mean ones less by a twentieth, for 2 to 7 % more elements where much is curved. With 0.15 elements grow by 15 %, distances no
+/// longer fall.
 const CHORD_ROUNDS: std::ops::RangeInclusive<usize> = 1..=2;
-const CHORD: f64 = 0.35;
+const CHORD: f64 = 0.2;
 
 /// Round after which edges shorter than this share of those around them are contracted: carved surfaces are full of them. The
 /// volumes that it costs come back in the rounds that follow; one round later 0.20 % are missing on the vessels.
