@@ -118,6 +118,22 @@ fn chazelles_polyhedron_is_recovered() {
 }
 
 #[test]
+fn narrow_notches_are_recovered_with_any_effort() {
+    // What is recovered by chance fails with other efforts.
+    let surface = chazelle(3, 1e-5);
+    for recursion_depth in [3, 4, 5, 6] {
+        for edge_removal_limit in [7, 10, 13] {
+            let options = Options { refine: false, recursion_depth, edge_removal_limit, ..Options::default() };
+            let (mesh, report) = run(&surface, None, &options, &RunContext::with_threads(1).unwrap()).unwrap();
+            check_mixed_mesh(&mesh).unwrap();
+            assert_eq!(mesh.boundary.triangles.len(), surface.facets.len());
+            let added = report.recovery.steiner_in_volume;
+            assert!(added <= 9, "{recursion_depth} {edge_removal_limit}: {added} points");
+        }
+    }
+}
+
+#[test]
 fn plates_that_almost_touch_are_recovered() {
     let plate = |n: usize, from: f64| mapped(&cube(n), |p| DVec3::new(p.x, p.y, from + 0.1 * p.z));
     let pair = joined(&[plate(4, 0.0), plate(5, 0.1 + 1e-6)]);

@@ -392,25 +392,34 @@ impl ConstrainedMesh {
 
     /// The segments that the innermost trial under way took from the mesh, ascending.
     pub fn segments_lost_in_trial(&mut self) -> Vec<EdgeKey> {
-        let rows = self.trials.last().into_iter().flatten().flat_map(|(rows, _)| rows);
-        let edges = rows.flat_map(|v| TET_EDGES.map(|[i, j]| edge_key(v[i], v[j])));
-        // Few edges are segments: the others are left out before anything is sorted.
-        let mut edges: Vec<EdgeKey> = edges.filter(|edge| self.wings.contains_key(edge)).collect();
-        edges.sort_unstable();
-        edges.dedup();
+        let edges = self.replaced_in_trial(|v| TET_EDGES.map(|[i, j]| edge_key(v[i], v[j])));
+        let mut edges = each_once(edges.filter(|edge| self.wings.contains_key(edge)));
         edges.retain(|edge| !self.has_edge(edge[0], edge[1]));
         edges
     }
 
     /// The subfaces that the innermost trial under way took from the mesh, ascending.
     pub fn subfaces_lost_in_trial(&mut self) -> Vec<FaceKey> {
-        let rows = self.trials.last().into_iter().flatten().flat_map(|(rows, _)| rows);
-        let faces = rows.flat_map(|v| TET_FACES.map(|face| face_key(face.map(|i| v[i]))));
-        let mut faces: Vec<FaceKey> = faces.filter(|face| self.subfaces.contains_key(face)).collect();
-        faces.sort_unstable();
-        faces.dedup();
+        let faces = self.replaced_in_trial(|v| TET_FACES.map(|face| face_key(face.map(|i| v[i]))));
+        let mut faces = each_once(faces.filter(|face| self.subfaces.contains_key(face)));
         faces.retain(|face| self.find_face(*face).is_none());
         faces
+    }
+
+    /// What the tets have that the innermost trial under way replaced, some of it several times.
+    fn replaced_in_trial<T, const N: usize>(
+        &self,
+        parts: impl Fn(&[VertexId; 4]) -> [T; N],
+    ) -> impl Iterator<Item = T> {
+        self.trials.last().into_iter().flatten().flat_map(|(rows, _)| rows).flat_map(parts)
+    }
+
+    /// Removes the points from `count` on, whose tets are gone.
+    pub fn forget_points(&mut self, count: usize) {
+        for vertex in count..self.complex.points().len() {
+            self.complex.set_tet_of(VertexId::from_index(vertex), TetId::NONE);
+        }
+        self.complex.truncate_points(count);
     }
 
     /// Ends the innermost trial under way; what is kept of it is a part of the one around it. Points added since are left to
@@ -438,6 +447,14 @@ impl ConstrainedMesh {
         self.trials = outer;
         Ok(())
     }
+}
+
+/// Constraints, each once, ascending: others are left out before, as few edges and faces are any.
+fn each_once<T: Ord>(found: impl Iterator<Item = T>) -> Vec<T> {
+    let mut found: Vec<T> = found.collect();
+    found.sort_unstable();
+    found.dedup();
+    found
 }
 
 /// A face by its vertices, ascending, and a place in a list.

@@ -316,7 +316,9 @@ fn recover_all_edges(
             }
             let is_few = missing.len() <= MOST_HARD;
             let is_shown_fruitless = fruitless >= MOST_FRUITLESS && !effort.everywhere && effort.turn == 0;
-            if is_shown_fruitless || ((effort.turn > 0 || effort.tets > 0) && !is_few) {
+            // Parts of split edges are many, and what did not serve the whole seldom serves them.
+            let is_late = effort.tets > 0 && round > 0;
+            if is_shown_fruitless || is_late || ((effort.turn > 0 || effort.tets > 0) && !is_few) {
                 continue;
             }
             let before = missing.len();

@@ -39,11 +39,24 @@ const LEAST_LIFT: f64 = 1e-9;
 /// Share of an edge at its ends where it is not split.
 const FOOT_SHARE: f64 = 1e-3;
 
-/// Puts a point on a missing segment in sight of its ends; `None` where no point could be inserted.
+/// Puts a point on a missing segment in sight of its ends; `None` where no point could be inserted: then nothing has changed,
+/// as points that were lifted in vain only crowd what the next rounds meet.
 ///
 /// # Errors
 /// Those of vertex and tet creation.
-pub fn insert_in_sight(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey) -> Result<Option<VertexId>> {
+pub fn insert_in_sight(mesh: &mut ConstrainedMesh, edge: EdgeKey) -> Result<Option<VertexId>> {
+    let (count, lifted) = (mesh.complex.points().len(), mesh.volume_points.len());
+    mesh.begin_trial();
+    let steiner = insert_lifting(mesh, edge)?;
+    mesh.end_trial(steiner.is_some())?;
+    if steiner.is_none() {
+        mesh.forget_points(count);
+        mesh.volume_points.truncate(lifted);
+    }
+    Ok(steiner)
+}
+
+fn insert_lifting(mesh: &mut ConstrainedMesh, [a, b]: EdgeKey) -> Result<Option<VertexId>> {
     for _ in 0..MOST_LIFTED {
         let Some(places) = crossed_places(mesh, [a, b]) else { return Ok(None) };
         // The longest way without a crossing.
