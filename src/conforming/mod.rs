@@ -3,7 +3,8 @@
 //! # Method
 //! 1. `input_check`: everything that is wrong with the surface; an invalid one ends here.
 //! 2. `delaunay_kernel`: Delaunay tetrahedralization of the surface's points.
-//! 3. `boundary_recovery`: every edge and facet of the surface becomes an edge and a face of the mesh.
+//! 3. `boundary_recovery`: every edge and facet of the surface becomes an edge and a face of the mesh; where it fails, 2 and 3
+//!    are repeated with deeper searches, twice at most.
 //! 4. `domain_labels`: outside is removed, regions get their labels.
 //! 5. `volume_generation`: refinement and quality improvement, where asked for; `boundary_slivers` on demand.
 //!
@@ -71,6 +72,7 @@ mod tests;
 use std::time::Instant;
 
 use crate::conforming::assembly::{Carved, carve, finish};
+use crate::conforming::boundary_recovery::constrained_mesh::ConstrainedMesh;
 use crate::conforming::boundary_recovery::{recover, remove_from_volume, restore_surface};
 use crate::conforming::boundary_slivers::delete_boundary_slivers;
 use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, TetNumbers, tetrahedralize};
@@ -80,7 +82,7 @@ use crate::conforming::options::{Options, RecoveryMode};
 use crate::conforming::report::Report;
 use crate::conforming::volume_generation::{VolumeInput, generate_volume};
 use crate::context::RunContext;
-use crate::error::{Finding, FindingCode, Result, Severity};
+use crate::error::{Error, Finding, FindingCode, Result, Severity};
 use crate::index::{Label, VertexId};
 use crate::mesh::mixed_mesh::MixedMesh;
 use crate::mesh::sizing::Sizing;
@@ -149,14 +151,28 @@ fn source_facets(surface: &SurfaceMesh) -> Option<SurfaceMesh> {
     (!facets.is_empty()).then(|| SurfaceMesh::new(surface.points.clone(), facets))
 }
 
-/// The mesh of the regions, with the surface in it.
-fn domain_mesh(
-    (surface, sizing): (&SurfaceMesh, Option<&Sizing>),
+/// Attempts at recovery: one that fails takes a few times as long as one that succeeds.
+const MOST_ATTEMPTS: usize = 3;
+
+/// What the first attempt yields that does not end with a part of the surface missing. Each starts anew, with edge removals
+/// one level deeper: that changes which of many points lie where, and with it what resists in narrow places.
+fn first_recovered<T>(mut attempt: impl FnMut(usize) -> Result<T>) -> Result<T> {
+    for deeper in 0..MOST_ATTEMPTS - 1 {
+        match attempt(deeper) {
+            Err(Error::NoResult { .. }) => {}
+            ended => return ended,
+        }
+    }
+    attempt(MOST_ATTEMPTS - 1)
+}
+
+/// The mesh of the points and of corners around them, with the surface in it, and the Steiner points in its volume.
+fn recovered_mesh(
     checked: &CheckedSurface,
     options: &Options,
     context: &RunContext,
     report: &mut Report,
-) -> Result<MixedMesh> {
+) -> Result<(ConstrainedMesh, Vec<VertexId>)> {
     let clock = Instant::now();
     let mut points = checked.points.clone();
     points.extend(enclosure::enclosing_corners(&checked.points));
@@ -167,10 +183,25 @@ fn domain_mesh(
     let recovery = &mut report.recovery;
     let mut mesh = recover(delaunay.complex, &checked.facets, options, context, recovery)?;
     let volume = restore_surface(&mut mesh, options, context, recovery)?;
+    Ok((mesh, volume))
+}
+
+/// The mesh of the regions, with the surface in it.
+fn domain_mesh(
+    (surface, sizing): (&SurfaceMesh, Option<&Sizing>),
+    checked: &CheckedSurface,
+    options: &Options,
+    context: &RunContext,
+    report: &mut Report,
+) -> Result<MixedMesh> {
+    let (mut mesh, volume) = first_recovered(|deeper| {
+        let recursion_depth = options.recursion_depth + deeper;
+        recovered_mesh(checked, &Options { recursion_depth, ..options.clone() }, context, report)
+    })?;
     let hidden = label_domain(&mesh, surface, &checked.facet_patches, options.domain, context)?;
     let inside = |v: &VertexId| mesh.ball(*v).iter().any(|tet| !hidden.region_of[tet.index()].is_background());
     let volume: Vec<VertexId> = volume.into_iter().filter(inside).collect();
-    let kept = remove_from_volume(&mut mesh, volume, options, context, recovery)?;
+    let kept = remove_from_volume(&mut mesh, volume, options, context, &mut report.recovery)?;
     // Labels anew: the slots have changed. The findings about regions were reported above.
     let quiet = RunContext::new(context.pool(), context.cancel_token());
     let domain = label_domain(&mesh, surface, &checked.facet_patches, options.domain, &quiet)?;

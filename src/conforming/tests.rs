@@ -119,6 +119,28 @@ fn a_sheet_inside_is_kept() {
 }
 
 #[test]
+fn recovery_that_fails_is_attempted_anew_but_not_for_ever() {
+    let missing = || crate::error::Error::NoResult { message: String::new(), findings: Vec::new() };
+    for successful in 0..MOST_ATTEMPTS {
+        let result = first_recovered(|deeper| if deeper == successful { Ok(deeper) } else { Err(missing()) });
+        assert_eq!(result.unwrap(), successful);
+    }
+    let mut attempts = 0;
+    let failed: Result<()> = first_recovered(|_| {
+        attempts += 1;
+        Err(missing())
+    });
+    assert!(attempts == MOST_ATTEMPTS && matches!(failed, Err(crate::error::Error::NoResult { .. })));
+    // What does not come from the mesh ends it at once.
+    let mut attempts = 0;
+    let cancelled: Result<()> = first_recovered(|_| {
+        attempts += 1;
+        Err(crate::error::Error::Cancelled)
+    });
+    assert!(attempts == 1 && matches!(cancelled, Err(crate::error::Error::Cancelled)));
+}
+
+#[test]
 fn an_open_surface_is_refused() {
     let mut surface = cube(2);
     surface.facets.pop();
