@@ -31,6 +31,7 @@
 //!   crosses the mesh, in place of what it crosses: with exact coordinates that always works and makes it whole at once
 //!   (`steiner_points`). Rounded coordinates put the point beside the edge, and a flat tet may refuse it; and each split brings
 //!   edges to the other vertices of its facets. So there is no proof that rounds suffice, only the bound, and the error.
+//!   The engine then starts anew from the Delaunay mesh with deeper searches, twice at most.
 //! * Faces: `MOST_ROUNDS` splits, each with the recovery of the edges it brings. Splits that resist are taken back
 //!   `MOST_WITHDRAWALS` times; a pass over Steiner points is repeated only while it removes some.
 //!
