@@ -30,6 +30,9 @@ use crate::mesh::tet_store::TetStore;
 
 /// Grades one tet by its points in positive order.
 pub trait TetMeasure {
+    /// Tells measures apart where results are kept in mind.
+    const KIND: u64;
+
     /// The grade: higher is better, at most 0 when flat or inverted.
     fn grade(&self, corners: [DVec3; 4]) -> f64;
 
@@ -77,6 +80,8 @@ impl Weight {
 pub struct AnyPositive;
 
 impl TetMeasure for AnyPositive {
+    const KIND: u64 = 0;
+
     #[inline]
     fn grade(&self, [a, b, c, d]: [DVec3; 4]) -> f64 {
         if orient3d(a, b, c, d) > 0.0 { 1.0 } else { -1.0 }
@@ -103,6 +108,8 @@ impl BiasedSine {
 }
 
 impl TetMeasure for BiasedSine {
+    const KIND: u64 = 1;
+
     #[inline]
     fn grade(&self, corners: [DVec3; 4]) -> f64 {
         let six_volume = volume6(corners);
@@ -163,6 +170,8 @@ impl UnskewedSine {
 }
 
 impl TetMeasure for UnskewedSine {
+    const KIND: u64 = 2;
+
     fn grade(&self, corners: [DVec3; 4]) -> f64 {
         let grade = BiasedSine.grade(corners);
         let skewness = if grade > 0.0 { largest_skewness(corners) } else { 0.0 };
@@ -194,6 +203,8 @@ pub enum Relief<'a> {
 }
 
 impl<G: TetMeasure> TetMeasure for StrictInside<'_, G> {
+    const KIND: u64 = 16 + G::KIND;
+
     #[inline]
     fn grade(&self, corners: [DVec3; 4]) -> f64 {
         self.angles.grade(corners)
@@ -225,6 +236,8 @@ impl<G: TetMeasure> TetMeasure for StrictInside<'_, G> {
 pub struct MaxAngle;
 
 impl TetMeasure for MaxAngle {
+    const KIND: u64 = 3;
+
     #[inline]
     fn grade(&self, corners: [DVec3; 4]) -> f64 {
         if volume6(corners) <= 0.0 { 0.0 } else { 1.0 + dihedral_cosines(corners).1 }

@@ -27,6 +27,7 @@ mod delaunay_parallel;
 pub mod domain_labels;
 mod edge_lengths;
 pub mod enclosure;
+mod failed_attempts;
 pub mod fault_picture;
 pub mod flip_criteria;
 pub mod flips;

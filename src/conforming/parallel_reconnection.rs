@@ -30,6 +30,7 @@ pub use tet_treatment::{Crowding, FLAT_BELOW, Treatment, count_of_bad};
 use rayon::prelude::*;
 
 use super::edge_lengths::LengthScratch;
+use super::failed_attempts::FailedAttempts;
 use super::flip_criteria::{BiasedSine, StrictInside, UnskewedSine};
 use super::flips::{Accept, Outcome, plan_contraction};
 use super::front::UNSETTLED;
@@ -97,6 +98,8 @@ const ROOM_ROUNDS: usize = 8;
 struct Kit {
     reconnector: Reconnector,
     smoother: Smoother,
+    /// The removals of vertices that failed, by the searches that failed before.
+    failed_removals: FailedAttempts,
     slivers: SliverScratch,
     polyhedra: PolyhedronScratch,
     lengths: LengthScratch,

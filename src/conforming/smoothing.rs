@@ -23,6 +23,7 @@
 
 use glam::DVec3;
 
+use super::failed_attempts::FailedAttempts;
 use super::flip_criteria::{TetMeasure, Weight};
 use super::flips::{Outcome, touches_constraint};
 use super::spacing::Spacing;
@@ -84,6 +85,12 @@ pub struct Star {
 }
 
 impl Star {
+    /// A star whose faces all count the same.
+    #[cfg(test)]
+    pub fn of_faces(faces: &[[DVec3; 3]], weight: Weight) -> Self {
+        Self { faces: faces.to_vec(), weights: vec![weight; faces.len()], grades: Vec::new() }
+    }
+
     /// Grade of the worst tet between the faces and `point`; stops early below `bound`.
     #[inline]
     pub fn grade<M: TetMeasure>(&self, measure: &M, point: DVec3, bound: f64) -> f64 {
@@ -233,6 +240,8 @@ pub struct Smoother {
     /// The star of the vertex at hand.
     pub star: Star,
     ball: Vec<TetId>,
+    /// The searches that led nowhere.
+    pub failed: FailedAttempts,
 }
 
 impl Smoother {
@@ -333,7 +342,7 @@ impl Smoother {
         Outcome::WorsensQuality
     }
 
-    /// Moves a vertex to the best place that the search finds, if that is better.
+    /// Moves a vertex to the best place that the search finds, if that is better; it does not search where it has failed.
     pub fn optimize<S: TetStore + ?Sized, M: TetMeasure>(
         &mut self,
         store: &mut S,
@@ -346,6 +355,10 @@ impl Smoother {
             return outcome;
         }
         let at = store.point(vertex);
+        let fingerprint = self.star.fingerprint::<M>(at, spacing);
+        if self.failed.has(vertex, fingerprint) {
+            return Outcome::WorsensQuality;
+        }
         let before = self.star.strict_grade(measure, at, f64::NEG_INFINITY);
         let (place, after) = self.star.search(measure, at);
         let is_better = after > before * (1.0 + 1e-6);
@@ -353,6 +366,7 @@ impl Smoother {
             self.move_to(store, vertex, place);
             Outcome::Accepted
         } else {
+            self.failed.add(vertex, fingerprint);
             Outcome::WorsensQuality
         }
     }

@@ -315,6 +315,11 @@ impl<G: TetMeasure> TreatJob<'_, G> {
     ) -> Result<Outcome> {
         let mut lost = false;
         for vertex in row.into_iter().filter(|v| !self.is_fixed(*v)) {
+            // No vertex has moved: where the search is known to fail, nothing has changed since.
+            let fingerprint = kit.smoother.failed.last_at(vertex);
+            if fingerprint.is_some_and(|print| kit.failed_removals.has(vertex, print)) {
+                continue;
+            }
             let scratch = &mut kit.reconnector.scratch;
             let outcome = plan_vertex_removal(store, vertex, &self.measure, Accept::Better, scratch);
             match self.commit(store, kit, (outcome, lengths), None)? {
@@ -323,7 +328,12 @@ impl<G: TetMeasure> TreatJob<'_, G> {
                     kit.removed.push(vertex);
                     return Ok(Outcome::Accepted);
                 }
-                result => lost |= result == Outcome::ClaimLost,
+                Outcome::ClaimLost => lost = true,
+                _ => {
+                    if let Some(print) = fingerprint {
+                        kit.failed_removals.add(vertex, print);
+                    }
+                }
             }
         }
         Ok(if lost { Outcome::ClaimLost } else { Outcome::WorsensQuality })
