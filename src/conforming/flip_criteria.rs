@@ -36,6 +36,13 @@ pub trait TetMeasure {
     /// The grade: higher is better, at most 0 when flat or inverted.
     fn grade(&self, corners: [DVec3; 4]) -> f64;
 
+    /// The direction in which the grade grows fastest when the last corner moves, of any length; by difference quotients
+    /// over `2 h` where a measure knows no better.
+    fn slope(&self, [a, b, c, at]: [DVec3; 4], h: f64) -> DVec3 {
+        let along = |axis: DVec3| self.grade([a, b, c, at + h * axis]) - self.grade([a, b, c, at - h * axis]);
+        DVec3::new(along(DVec3::X), along(DVec3::Y), along(DVec3::Z))
+    }
+
     /// Whether tets whose vertices beside the one being moved or inserted are these get the grade of [`strict`].
     #[inline]
     fn is_strict(&self, _vertices: &[VertexId]) -> bool {
@@ -136,6 +143,62 @@ impl TetMeasure for BiasedSine {
         let grade = six_volume * worst.sqrt();
         if grade.is_finite() { grade } else { 0.0 }
     }
+
+    /// The gradient of the logarithm: of volume and length of the worst edge, less those of the two areas beside it.
+    fn slope(&self, corners: [DVec3; 4], _h: f64) -> DVec3 {
+        let [a, b, c, at] = corners;
+        let up = (b - a).cross(c - a);
+        let six_volume = volume6(corners);
+        if six_volume <= 0.0 {
+            return up;
+        }
+        let normals = face_normals(corners);
+        let inverse = normals.map(|normal| normal.length_squared().recip());
+        let squared_sine = |[i, j]: [usize; 2]| {
+            let [k, l] = opposite([i, j]);
+            let squared = (corners[j] - corners[i]).length_squared() * inverse[k] * inverse[l];
+            let is_obtuse = normals[k].dot(normals[l]) > 0.0;
+            if is_obtuse { squared * (OBTUSE_WEIGHT * OBTUSE_WEIGHT) } else { squared }
+        };
+        let (mut least, mut worst) = (f64::INFINITY, TET_EDGES[0]);
+        for edge in TET_EDGES {
+            let value = squared_sine(edge);
+            if value < least {
+                (least, worst) = (value, edge);
+            }
+        }
+        let mut slope = up / six_volume;
+        if let [end, 3] | [3, end] = worst {
+            slope += (at - corners[end]) / at.distance_squared(corners[end]);
+        }
+        for face in opposite(worst).into_iter().filter(|face| *face != 3) {
+            // The area grows with the height over the edge that the face shares with a b c.
+            let [p, q] = match face {
+                0 => [b, c],
+                1 => [a, c],
+                _ => [a, b],
+            };
+            let along = (q - p).normalize_or_zero();
+            let height = (at - p) - (at - p).dot(along) * along;
+            slope -= height / height.length_squared();
+        }
+        if slope.is_finite() { slope } else { up }
+    }
+}
+
+/// The local vertices that an edge leaves.
+#[inline]
+fn opposite([i, j]: [usize; 2]) -> [usize; 2] {
+    let all = [0, 1, 2, 3];
+    let mut others = [0; 2];
+    let mut count = 0;
+    for local in all {
+        if local != i && local != j {
+            others[count] = local;
+            count += 1;
+        }
+    }
+    others
 }
 
 /// The angle that tets off the boundary are expected to reach at any price for those on it, degrees. The large angle of
@@ -208,6 +271,11 @@ impl<G: TetMeasure> TetMeasure for StrictInside<'_, G> {
     #[inline]
     fn grade(&self, corners: [DVec3; 4]) -> f64 {
         self.angles.grade(corners)
+    }
+
+    #[inline]
+    fn slope(&self, corners: [DVec3; 4], h: f64) -> DVec3 {
+        self.angles.slope(corners, h)
     }
 
     #[inline]
@@ -324,6 +392,36 @@ mod tests {
             let skew = 1.0 + range.max.to_radians().cos();
             assert!((MaxAngle.grade(tet) - skew).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn slopes_are_those_of_the_grade() {
+        // A measure that knows of differences only.
+        struct Numeric;
+        impl TetMeasure for Numeric {
+            const KIND: u64 = 99;
+            fn grade(&self, corners: [DVec3; 4]) -> f64 {
+                BiasedSine.grade(corners)
+            }
+        }
+        let mut seed = 5u64;
+        let mut random = || {
+            seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (seed >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let mut compared = 0;
+        for _ in 0..300 {
+            let mut corners = [DVec3::ZERO; 4].map(|_| DVec3::new(random(), random(), random()));
+            if volume6(corners) < 0.0 {
+                corners.swap(0, 1);
+            }
+            let (exact, numeric) = (BiasedSine.slope(corners, 1e-6), Numeric.slope(corners, 1e-6));
+            // Where two edges are equally bad, differences lie between their slopes.
+            compared += usize::from(exact.angle_between(numeric) < 1e-3);
+        }
+        assert!(compared >= 297, "{compared} of 300");
+        let flat = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::new(0.3, 0.3, -0.1)];
+        assert!(BiasedSine.slope(flat, 1e-6).angle_between(DVec3::Z) < 1e-9, "out of what is inverted");
     }
 
     #[test]

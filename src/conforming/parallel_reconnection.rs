@@ -30,7 +30,7 @@ pub use tet_treatment::{Crowding, FLAT_BELOW, Treatment, count_of_bad};
 use rayon::prelude::*;
 
 use super::edge_lengths::LengthScratch;
-use super::failed_attempts::FailedAttempts;
+use super::failed_attempts::{FailedAttempts, FailedTets};
 use super::flip_criteria::{BiasedSine, StrictInside, UnskewedSine};
 use super::flips::{Accept, Outcome, plan_contraction};
 use super::front::UNSETTLED;
@@ -100,6 +100,9 @@ struct Kit {
     smoother: Smoother,
     /// The removals of vertices that failed, by the searches that failed before.
     failed_removals: FailedAttempts,
+    /// The tets where all was in vain.
+    failed_tets: FailedTets,
+    ball: Vec<TetId>,
     slivers: SliverScratch,
     polyhedra: PolyhedronScratch,
     lengths: LengthScratch,
@@ -358,6 +361,22 @@ impl Driver {
             flips: FlipCounts::default(),
             speculative: SpeculativeCounts::default(),
             claims: ClaimTable::default(),
+        }
+    }
+
+    /// Forgets the numbers of vertices and tets, but not what failed: that is told by places.
+    pub fn turn_to_another_mesh(&mut self) {
+        self.spare.clear();
+        for kit in &mut self.kits {
+            let Kit { spare, new_sizes, removed, moved, touched, rejected, reconnector, .. } = kit;
+            spare.clear();
+            new_sizes.clear();
+            removed.clear();
+            moved.clear();
+            rejected.clear();
+            *touched = Touched::default();
+            reconnector.fresh.clear();
+            reconnector.lost.clear();
         }
     }
 

@@ -299,8 +299,9 @@ fn disturbances(complex: &TetComplex, tet: TetId) -> Vec<Disturbance> {
 
 /// Searches regions.
 pub struct RegionSearch {
-    options: Options,
     context: RunContext,
+    /// Remembers what fails: disturbances leave most of a region as it was.
+    driver: Driver,
     flips: FlipScratch,
     goal: f64,
     /// Tets around which nothing was found, and how deep; they are not searched again before something changes there.
@@ -314,8 +315,9 @@ pub struct RegionSearch {
 impl RegionSearch {
     /// A search for `aim` whose operations aim at a grade.
     pub fn new(options: &Options, context: &RunContext, goal: f64, aim: Aim) -> Self {
-        let (options, context) = (options.clone(), context.clone());
-        Self { options, context, flips: FlipScratch::default(), goal, failed: Vec::new(), aim, counts: [0; 2] }
+        let driver = Driver::for_quality(options, context);
+        let context = context.clone();
+        Self { context, driver, flips: FlipScratch::default(), goal, failed: Vec::new(), aim, counts: [0; 2] }
     }
 
     /// Searches around a tet, so many disturbances deep; true where fewer tets are left that may not stay.
@@ -421,7 +423,8 @@ impl RegionSearch {
     /// All operations at the bad tets beside what was disturbed, while they help.
     fn improve(&mut self, region: &mut Region) -> Result<()> {
         let Region { complex, sizes, on_boundary, needles, .. } = region;
-        let mut driver = Driver::for_quality(&self.options, &self.context);
+        let driver = &mut self.driver;
+        driver.turn_to_another_mesh();
         let relief = if self.aim == Aim::OffBoundary { Relief::Boundary } else { Relief::Needles(needles) };
         let treatment = Treatment { relief, ..Treatment::everything(self.goal, Crowding::Allowed) };
         let limit = IMPROVED_BELOW.to_radians().sin();

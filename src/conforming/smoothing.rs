@@ -13,7 +13,7 @@
 //! search for the best worst element: [FreitagOllivierGooch1997].
 //!
 //! # Differences
-//! The search follows difference quotients of the worst tets' grades and halves its step; it needs no linear program.
+//! The search follows the slopes of the worst tets' grades and halves its step; it needs no linear program.
 //!
 //! # Invariants
 //! A vertex on a constraint never moves. Every tet of a moved ball is positive by exact arithmetic, and has no user bit.
@@ -214,8 +214,7 @@ impl Star {
             if *grade > limit || count == MOST {
                 continue;
             }
-            let along = |axis: DVec3| measure.grade([a, b, c, at + h * axis]) - measure.grade([a, b, c, at - h * axis]);
-            slopes[count] = DVec3::new(along(DVec3::X), along(DVec3::Y), along(DVec3::Z)).normalize_or_zero();
+            slopes[count] = measure.slope([a, b, c, at], h).normalize_or_zero();
             count += 1;
         }
         let slopes = &slopes[..count];

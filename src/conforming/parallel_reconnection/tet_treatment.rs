@@ -20,6 +20,7 @@
 use glam::DVec3;
 
 use super::super::edge_lengths::keeps_lengths;
+use super::super::failed_attempts::{ball_fingerprint, salt_of};
 use super::super::flip_criteria::{BiasedSine, Relief, STRICT_ANGLE, StrictInside, TetMeasure, UnskewedSine};
 use super::super::flips::{Accept, Outcome, plan_edge_removal, plan_face_removal, plan_vertex_removal};
 use super::super::needle_faces::NeedleFaces;
@@ -221,6 +222,18 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         }
     }
 
+    /// Tells attempts apart: all of the treatment that what is tried after the moves depends on.
+    fn salt(&self, lengths: Lengths) -> u64 {
+        let Treatment { edge_limit: _, changes_vertices: _, reconnects_polyhedra, crowding, goal, .. } = *self.treatment;
+        let relief = match self.treatment.relief {
+            Relief::Nothing => 0,
+            Relief::Needles(_) => 1,
+            Relief::Boundary => 2,
+        };
+        let flags = [reconnects_polyhedra, crowding == Crowding::Allowed, lengths == Lengths::Free];
+        salt_of(&[G::KIND, goal.to_bits(), relief, flags.into_iter().fold(0, |word, flag| 2 * word + u64::from(flag))])
+    }
+
     /// Edge and face removal.
     fn reconnect<S: TetStore>(
         &self,
@@ -419,7 +432,16 @@ impl<G: TetMeasure + Sync> Job for TreatJob<'_, G> {
             _ => {}
         }
         let mut improved = self.move_vertices(store, kit, (row, lengths));
-        if self.treatment.changes_vertices {
+        if self.treatment.changes_vertices && !improved {
+            if !store.try_claim_tet(tet) {
+                store.release_claims();
+                return Ok(Attempt::ClaimLost);
+            }
+            let fingerprint = ball_fingerprint(store, tet, self.salt(lengths), &mut kit.ball);
+            store.release_claims();
+            if kit.failed_tets.has(fingerprint) {
+                return Ok(Attempt::Done);
+            }
             for operation in 0..3 {
                 if improved {
                     break;
@@ -437,6 +459,9 @@ impl<G: TetMeasure + Sync> Job for TreatJob<'_, G> {
                     Outcome::ClaimLost => return Ok(Attempt::ClaimLost),
                     _ => {}
                 }
+            }
+            if !improved {
+                kit.failed_tets.add(fingerprint);
             }
         }
         kit.tally.done += u64::from(improved);
