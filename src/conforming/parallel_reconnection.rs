@@ -85,6 +85,9 @@ const ATTEMPT_ROOM: usize = 256;
 const TETS_PER_INSERT: usize = 9;
 /// Passes with fewer items run on one thread: sharing would cost more than it brings.
 const MIN_PARALLEL: usize = 128;
+/// Meshes with fewer tets are made by one thread: they take a second or two, and by how much their counts differ from run to
+/// run on several threads, up to a twelfth, would be seen.
+const MIN_SHARED_TETS: usize = 8192;
 /// An insertion round is shared where the cavities of all threads, as large as those of the round before, take less than
 /// this part of the mesh: rounds grow by eight and cavities shrink as much.
 const MEETING: usize = 16;
@@ -313,6 +316,8 @@ pub struct Driver {
     threads: usize,
     settings: WorkSettings,
     sorts: bool,
+    /// Fewest tets of a mesh that threads share.
+    shared_from: usize,
     kits: Vec<Kit>,
     spare: Vec<VertexId>,
     flips: FlipCounts,
@@ -356,12 +361,19 @@ impl Driver {
             threads,
             settings,
             sorts,
+            shared_from: MIN_SHARED_TETS,
             kits: vec![Kit::default(); threads],
             spare: Vec::new(),
             flips: FlipCounts::default(),
             speculative: SpeculativeCounts::default(),
             claims: ClaimTable::default(),
         }
+    }
+
+    /// Lets threads share meshes however small, for tests of what they do to each other.
+    #[cfg(test)]
+    pub fn share_all_meshes(&mut self) {
+        self.shared_from = 0;
     }
 
     /// Forgets the numbers of vertices and tets, but not what failed: that is told by places.
@@ -419,7 +431,7 @@ impl Driver {
 
     /// Does all items, on as many threads as the pass is worth.
     fn run<J: Job>(&mut self, complex: &mut TetComplex, job: &J, items: Vec<J::Item>, room: usize) -> Result<()> {
-        if self.threads == 1 || items.len() < MIN_PARALLEL {
+        if self.threads == 1 || items.len() < MIN_PARALLEL || complex.live_count() < self.shared_from {
             return self.run_alone(complex, job, &items);
         }
         let mut items = items;

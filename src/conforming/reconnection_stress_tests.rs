@@ -58,6 +58,7 @@ fn stress(threads: usize, seed: u64) {
     let mut complex = start(seed);
     let expected_walls = walls(&complex);
     let mut driver = Driver::for_refinement(&Options { buckets: 64, ..Options::default() }, &context);
+    driver.share_all_meshes();
     let mut sizes = vec![1e-3; complex.vertex_count()];
     let hint = complex.finite_tets().next().unwrap();
     let mut inserts = Vec::new();

@@ -105,6 +105,7 @@ fn treatment_lifts_the_worst_tets_on_any_number_of_threads() {
     for threads in [1, 3] {
         let context = RunContext::with_threads(threads).unwrap();
         let mut driver = Driver::for_quality(&Options::default(), &context);
+        driver.share_all_meshes();
         let mut complex = shaken_grid(9, 0.2);
         let mut sizes = vec![1.0; complex.vertex_count()];
         let on_boundary = boundary_vertices(&complex, &context);
@@ -181,4 +182,25 @@ fn smoothing_brings_no_vertices_closer_than_their_sizes_allow() {
     };
     let (free, held) = (moved_with(1.0), moved_with(4.0));
     assert!(free > 10 && held < free / 4, "{free} and {held} of 64");
+}
+
+#[test]
+fn small_meshes_are_made_by_one_thread() {
+    let made = |threads: usize, shares: bool| {
+        let context = RunContext::with_threads(threads).unwrap();
+        let mut driver = Driver::for_quality(&Options::default(), &context);
+        if shares {
+            driver.share_all_meshes();
+        }
+        let mut complex = shaken_grid(9, 0.2);
+        let mut sizes = vec![1.0; complex.vertex_count()];
+        let on_boundary = boundary_vertices(&complex, &context);
+        let bad: Vec<TetId> = complex.finite_tets().collect();
+        let treatment = Treatment::topological(BiasedSine::grade_of_angles(24.0, 145.0));
+        driver.treat(&mut complex, &mut sizes, &on_boundary, bad, &treatment).unwrap();
+        (complex.points().to_vec(), driver.speculative.attempts)
+    };
+    let alone = made(1, false);
+    assert!(alone.1 == 0 && made(3, false) == alone, "the same to the last bit");
+    assert!(made(3, true).1 > 0, "shared where asked for");
 }

@@ -224,7 +224,8 @@ impl<G: TetMeasure> TreatJob<'_, G> {
 
     /// Tells attempts apart: all of the treatment that what is tried after the moves depends on.
     fn salt(&self, lengths: Lengths) -> u64 {
-        let Treatment { edge_limit: _, changes_vertices: _, reconnects_polyhedra, crowding, goal, .. } = *self.treatment;
+        let Treatment { edge_limit: _, changes_vertices: _, reconnects_polyhedra, crowding, goal, .. } =
+            *self.treatment;
         let relief = match self.treatment.relief {
             Relief::Nothing => 0,
             Relief::Needles(_) => 1,
