@@ -3,9 +3,10 @@
 //! # Method
 //! 1. The pinched vertices span a subcomplex. Every element with some of its vertices pinched is cut between them and the
 //!    others, at the middles of the edges: the inner parts are a regular neighbourhood of the subcomplex.
-//! 2. Each connected group of pinched vertices gets one label for all its inner parts: the label whose pieces the pinch
-//!    keeps apart, or that lies between two others that touch; not one that would join two components of the image. Where Euler
-//!    numbers are to be kept, one that leaves them within reach ([`super::euler_ranges`]).
+//! 2. Each connected group of pinched vertices gets one label for all its inner parts: one that has elements at as many of
+//!    them as any other, of these the label whose pieces the pinch keeps apart, or that lies between two others that touch;
+//!    not one that would join two components of the image. Where Euler numbers are to be kept, first of all one that leaves
+//!    them within reach ([`super::euler_ranges`]).
 //!
 //! ```text
 //!        a                      a
@@ -30,6 +31,8 @@
 //! # Limits
 //! A vertex on the outside of the lattice whose elements do not form a half ball can only be filled with background.
 //! Where middles of edges are no lattice points (at the finest level) a pinched vertex stays, and is reported.
+
+use std::cmp::Reverse;
 
 use glam::IVec3;
 
@@ -141,13 +144,20 @@ fn label_for(
         pieces.dedup();
         pieces.len() as i64 - 1 > regions.surplus[label.index()].max(0)
     };
+    // A group may be a chain many voxels long: a label that is only at one end of it would reach far from its voxels.
+    let strangers = |label: Label| {
+        let is_stranger = |v: &&u32| topology.elements_around(&[**v]).iter().all(|e| labels[*e as usize] != label);
+        group.iter().filter(is_stranger).count()
+    };
     let score = |label: Label| group.iter().map(|v| topology.excess_of(*v, label, labels)).sum::<i64>();
     // The background last: a leak is closed rather than opened.
     let allowed = candidates.into_iter().filter(|l| !joins_too_much(*l));
     let changes = |label: Label| topology.euler_changes_by_filling(group, label, labels);
     let off = |label: Label| euler.as_ref().map_or(0, |e| e.distance_after(&changes(label)));
-    let chosen =
-        allowed.max_by_key(|l| (std::cmp::Reverse(off(*l)), !l.is_background(), score(*l), std::cmp::Reverse(*l)));
+    let chosen = allowed.max_by_key(|l| {
+        let is_tissue = !l.is_background();
+        (Reverse(off(*l)), Reverse(strangers(*l)), is_tissue, score(*l), Reverse(*l))
+    });
     if let (Some(euler), Some(label)) = (euler, chosen) {
         euler.add(&changes(label));
     }
@@ -229,6 +239,33 @@ fn oriented(lattice: &RedGreenLattice, tet: [u32; 4]) -> [u32; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lattice::face_adjacency::neighbors_of;
+
+    #[test]
+    fn a_chain_gets_a_label_that_is_near_all_of_it() {
+        // A bar of 6 x 2 x 2 cubes of six tets each; the chain runs through its middle. Label 1 is at one end only.
+        let number = |i: usize, j: usize, k: usize| (i + 7 * (j + 3 * k)) as u32;
+        let (mut tets, mut labels) = (Vec::new(), Vec::new());
+        for (i, j, k) in (0..24).map(|n| (n % 6, n / 6 % 2, n / 12)) {
+            for [a, b, c] in [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]] {
+                let mut at = [i, j, k];
+                let mut tet = vec![number(i, j, k)];
+                for axis in [a, b, c] {
+                    at[axis] += 1;
+                    tet.push(number(at[0], at[1], at[2]));
+                }
+                tets.push([tet[0], tet[1], tet[2], tet[3]]);
+                labels.push(Label(if (i, j, k) == (0, 0, 0) { 1 } else { 2 + k as u16 }));
+            }
+        }
+        let neighbors = neighbors_of(&tets, 63).unwrap();
+        let topology = InterfaceTopology::new(&tets, &neighbors, 63);
+        let regions = Regions { of_element: labels.iter().map(|l| u32::from(l.0)).collect(), surplus: vec![0; 4] };
+        let chosen = |group: &[u32]| label_for(&topology, group, &labels, &regions, None);
+        let chain: Vec<u32> = (1..6).map(|i| number(i, 1, 1)).collect();
+        assert_eq!(chosen(&chain), Some(Label(2)));
+        assert_eq!(chosen(&chain[..1]), Some(Label(1)), "where all labels are near, the first");
+    }
 
     #[test]
     fn prisms_of_any_numbering_have_cuts_at_smallest_vertices() {
