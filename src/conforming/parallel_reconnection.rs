@@ -429,9 +429,15 @@ impl Driver {
         }
     }
 
+    /// How many threads share a pass over so many items.
+    fn threads_for(&self, complex: &TetComplex, items: usize) -> usize {
+        let is_small = items < MIN_PARALLEL || complex.live_count() < self.shared_from;
+        if is_small { 1 } else { self.threads }
+    }
+
     /// Does all items, on as many threads as the pass is worth.
     fn run<J: Job>(&mut self, complex: &mut TetComplex, job: &J, items: Vec<J::Item>, room: usize) -> Result<()> {
-        if self.threads == 1 || items.len() < MIN_PARALLEL || complex.live_count() < self.shared_from {
+        if self.threads_for(complex, items.len()) == 1 {
             return self.run_alone(complex, job, &items);
         }
         let mut items = items;
@@ -676,17 +682,19 @@ impl Driver {
         all
     }
 
-    /// Gives every thread spare vertices, enough for each bad tet to take one.
+    /// Gives the threads of a pass spare vertices, enough for each bad tet to take one. A pass of one thread finds the same
+    /// ones however many threads there are: numbers of vertices decide between equals.
     fn deal_spares(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>, wanted: usize) -> Result<()> {
         for kit in &mut self.kits {
             self.spare.append(&mut kit.removed);
         }
-        while self.spare.len() < wanted + self.threads {
+        let threads = self.threads_for(complex, wanted);
+        while self.spare.len() < wanted + threads {
             self.spare.push(complex.push_point(glam::DVec3::ZERO)?);
             sizes.push(0.0);
         }
-        let share = self.spare.len().div_ceil(self.threads);
-        for kit in &mut self.kits {
+        let share = self.spare.len().div_ceil(threads);
+        for kit in &mut self.kits[..threads] {
             let keep = self.spare.len().saturating_sub(share);
             kit.spare.extend(self.spare.drain(keep..));
         }

@@ -196,6 +196,19 @@ fn a_refined_sphere_keeps_its_surface() {
 }
 
 #[test]
+fn small_meshes_are_the_same_for_any_number_of_threads() {
+    // Improvement needs spare vertices here, which the threads share.
+    let surface = chazelle(3, 0.1);
+    let mesh_of = |threads| {
+        let context = RunContext::with_threads(threads).unwrap();
+        run(&surface, None, &Options::default(), &context).unwrap().0
+    };
+    let [one, two] = [1, 2].map(mesh_of);
+    assert_eq!(one.points, two.points);
+    assert_eq!(one.tets().unwrap(), two.tets().unwrap());
+}
+
+#[test]
 fn limits_end_a_run_with_or_without_refinement() {
     for refine in [false, true] {
         let options = Options { refine, maximum_elements: 20, ..Options::default() };
