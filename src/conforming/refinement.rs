@@ -473,9 +473,12 @@ struct Accepted {
     place: TetId,
 }
 
-/// The least share of the size interpolated at a new point that it gets. Ahead of a small facet among large ones the local
-/// front is much finer than the sizes of its vertices; points that follow it would crowd there, all edges too short.
-const LEAST_SHARE: f64 = 0.5;
+/// The least share of the boundary's field at a new point that it gets. Ahead of a small facet among large ones the local
+/// front is much finer than the sizes of its vertices, and where the field grows faster than the growth rate, all that follows
+/// is: points would crowd there, all edges too short. With the default factors, points of this share keep 0.7 of 0.6 of 1.2 of
+/// the boundary's edges from each other: half of them. A share of the size interpolated between points that got a share
+/// themselves would be no limit: on a fine wing in a far field a quarter of all edges was shorter than half the field.
+const LEAST_SHARE: f64 = 0.6;
 
 /// The first test of the candidates, in parallel: where they lie, how large they are, what is too close.
 fn filter(
@@ -492,7 +495,8 @@ fn filter(
         let found = boundary.at(complex, tet, candidate.point, options.size_minimum_weight);
         let (of_boundary, place) = found.unwrap_or((f64::INFINITY, TetId::NONE));
         let local = interpolated.min(of_boundary);
-        let wanted = local.min(options.growth_rate * candidate.scale).max(LEAST_SHARE * local);
+        let least = LEAST_SHARE * found.map_or(local, |_| of_boundary);
+        let wanted = local.min(options.growth_rate * candidate.scale).max(least);
         let size = if is_free { Ok(wanted) } else { field.bounded_in(complex.label(tet), candidate.point, wanted) };
         let size = match size {
             Ok(size) => size,

@@ -88,6 +88,21 @@ fn sizes_between_a_fine_and_a_coarse_sphere_are_those_between_theirs() {
 }
 
 #[test]
+fn edges_follow_sizes_that_grow_faster_than_the_growth_rate() {
+    let (outer, inner) = (sphere(2), mapped(&sphere(2), |p| 0.05 * p));
+    let lengths = outer.facets.iter().map(|[a, b, _]| outer.points[a.index()].distance(outer.points[b.index()]));
+    let edge = lengths.sum::<f64>() / outer.facets.len() as f64;
+    let surface = joined(&[outer, inner]);
+    let context = RunContext::with_threads(1).unwrap();
+    let mesh = meshed(&surface, &Sizing::default(), &context).unwrap();
+    let factor = Options::default().size_factor;
+    let between = |p: DVec3| p.length() > 0.075 && p.length() < 0.85;
+    let excess = average_excess(&mesh, between, |p| factor * edge * p.length());
+    // Measured -0.41; -0.58 where points get a share of what is interpolated between others that got a share.
+    assert!(excess > -0.5, "{excess}");
+}
+
+#[test]
 fn few_edges_between_walls_of_slender_triangles_are_longer_than_twice_the_sizes() {
     let surface = twisted_prism(16, 0.0, 2);
     let context = RunContext::with_threads(1).unwrap();

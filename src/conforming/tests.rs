@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::test_surfaces::{cube, joined, mapped, sphere, surface_of, translated};
+use super::test_surfaces::{chazelle, cube, joined, mapped, sphere, surface_of, translated};
 use super::*;
 use crate::geometry::predicates::orient3d;
 use crate::geometry::tetrahedron::dihedral_cosines;
