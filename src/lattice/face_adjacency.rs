@@ -5,6 +5,10 @@
 //! 2. Each bucket counts its faces into groups of one largest vertex, some twenty faces each, and sorts each group by the
 //!    other two vertices; equal neighbours are the two sides of a face.
 //!
+//!
+//! After a change of some tets only ([`neighbors_after`]), what lies behind the others is renumbered, and the faces that a
+//! tet has lost its neighbour at are matched with those of the new tets.
+//!
 //! # Invariants
 //! A face has one or two tets; a third one is an internal error found here.
 //!
@@ -112,14 +116,56 @@ fn matched(chunks: &[(Vec<Side>, Vec<u32>)], bucket: usize, width: usize) -> Res
             match face {
                 [_] => {}
                 [a, b] => pairs.push([a.1, b.1]),
-                _ => {
-                    let reason = format!("tet {} shares a face with more than one tet", face[0].1 >> 2);
-                    return Err(Error::Internal { reason });
-                }
+                _ => return Err(shared_by_many(face[0].1)),
             }
         }
     }
     Ok(pairs)
+}
+
+/// The neighbours of tets some of which were there before, with the neighbours `before`: `numbers` has for each its number
+/// then, or [`OUTSIDE`]. A face without a neighbour stays so as long as its tet does.
+///
+/// # Errors
+/// As [`neighbors_of`].
+pub fn neighbors_after(before: &[[u32; 4]], numbers: &[u32], tets: &[[u32; 4]]) -> Result<Vec<[u32; 4]>> {
+    let mut renumbered = vec![OUTSIDE; before.len()];
+    for (tet, number) in (0..).zip(numbers).filter(|(_, number)| **number != OUTSIDE) {
+        renumbered[*number as usize] = tet;
+    }
+    let behind = |number: &u32| match *number {
+        OUTSIDE => [OUTSIDE; 4],
+        number => before[number as usize].map(|n| if n == OUTSIDE { OUTSIDE } else { renumbered[n as usize] }),
+    };
+    let mut neighbors: Vec<[u32; 4]> = numbers.par_iter().with_min_len(CHUNK).map(behind).collect();
+    let is_open = |t: usize, f: usize| {
+        neighbors[t][f] == OUTSIDE && (numbers[t] == OUTSIDE || before[numbers[t] as usize][f] != OUTSIDE)
+    };
+    let open_faces = |t: usize| {
+        (0..4).filter(move |f| is_open(t, *f)).map(move |f| {
+            let mut face = TET_FACES[f].map(|v| tets[t][v]);
+            face.sort_unstable();
+            (face, ((t as u32) << 2) | f as u32)
+        })
+    };
+    let mut faces: Vec<([u32; 3], u32)> =
+        (0..tets.len()).into_par_iter().with_min_len(CHUNK).flat_map_iter(open_faces).collect();
+    faces.par_sort_unstable();
+    for sides in faces.chunk_by(|a, b| a.0 == b.0) {
+        match sides {
+            [_] => {}
+            [(_, a), (_, b)] => {
+                neighbors[(a >> 2) as usize][(a & 3) as usize] = b >> 2;
+                neighbors[(b >> 2) as usize][(b & 3) as usize] = a >> 2;
+            }
+            _ => return Err(shared_by_many(sides[0].1)),
+        }
+    }
+    Ok(neighbors)
+}
+
+fn shared_by_many(side: u32) -> Error {
+    Error::Internal { reason: format!("tet {} shares a face with more than one tet", side >> 2) }
 }
 
 /// Some elements and their neighbours through faces, increasing.

@@ -7,7 +7,8 @@
 //! 3. Red tets are replaced by their eight children; children that cannot hold a labelled voxel are dropped. Children
 //!    are looked at as in 2.
 //! 4. [`RedGreenLattice::elements`] closes what is left with green templates. Greens are never stored, so they are
-//!    gone before the next round.
+//!    gone before the next round; where nothing has changed they are taken over from the round before
+//!    ([`RedGreenLattice::elements_after`]).
 //!
 //! # Source
 //! [Molino2003], [Drakopoulos2017] 2.3.3.
@@ -45,6 +46,9 @@ const FACE_EDGES: [[usize; 3]; 4] = [[0, 1, 3], [0, 2, 4], [1, 2, 5], [3, 4, 5]]
 /// Tets per parallel work item: some 0.1 ms, far above the cost of handing it over.
 const CHUNK: usize = 2048;
 
+/// No number before a change.
+pub const CHANGED: u32 = u32::MAX;
+
 /// What becomes of a leaf whose neighbours split some of its edges.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Closure {
@@ -69,13 +73,16 @@ pub struct RedGreenLattice<'a> {
     pub tets: Vec<[u32; 4]>,
     /// Level of each leaf. 1 B / tet.
     pub levels: Vec<u8>,
+    /// The number that each leaf had before the last refinement, where that left it and its edges as they were; else
+    /// [`CHANGED`]. 4 B / tet.
+    pub unchanged: Vec<u32>,
     deepest: u8,
     max_elements: usize,
     closure: Closure,
 }
 
 /// The conforming elements of the lattice: red leaves and greens.
-#[derive(Default)]
+#[derive(Default, PartialEq)]
 pub struct Elements {
     /// Vertices. 16 B / element.
     pub tets: Vec<[u32; 4]>,
@@ -103,7 +110,8 @@ impl<'a> RedGreenLattice<'a> {
         let tets = coarsest_tets(&frame, &field, &mut vertices, context)?;
         let levels = vec![0; tets.len()];
         let closure = Closure::default();
-        let lattice = Self { frame, field, vertices, tets, levels, deepest: 0, max_elements, closure };
+        let unchanged = vec![CHANGED; tets.len()];
+        let lattice = Self { frame, field, vertices, tets, levels, unchanged, deepest: 0, max_elements, closure };
         lattice.check_size(lattice.tets.len())?;
         Ok(lattice)
     }
@@ -140,23 +148,28 @@ impl<'a> RedGreenLattice<'a> {
         let refinable = |t: &u32| marked[*t as usize] && self.levels[*t as usize] < max_level;
         let leaves = (0..self.tets.len() as u32).into_par_iter().with_min_len(CHUNK);
         let mut pending: Vec<u32> = leaves.filter(refinable).collect();
+        let mut unchanged: Vec<u32> = (0..self.tets.len() as u32).collect();
         let mut long_edges = Vec::new();
         while !(pending.is_empty() && long_edges.is_empty()) {
             let mut splits = Splits { slots: vec![u32::MAX; self.tets.len()], middles: Vec::new() };
             while !(pending.is_empty() && long_edges.is_empty()) {
                 context.check()?;
                 let touched = self.split_edges_of(&pending, &long_edges, &mut splits)?;
-                let near = |t: usize| {
-                    splits.slots[t] == u32::MAX
-                        && self.tets[t].iter().filter(|v| touched[**v as usize] != 0).count() >= 2
-                };
+                let is_touched = |tet: &[u32; 4]| tet.iter().filter(|v| touched[**v as usize] != 0).count() >= 2;
+                let rows = unchanged.par_iter_mut().zip(&self.tets).with_min_len(CHUNK);
+                rows.filter(|(_, tet)| is_touched(tet)).for_each(|(number, _)| *number = CHANGED);
+                let near = |t: usize| splits.slots[t] == u32::MAX && is_touched(&self.tets[t]);
                 (pending, long_edges) = self.to_be_split(near);
             }
             self.vertices.label_new(&self.frame, &self.field);
             // A child of a promoted tet can itself have edges that its neighbours split.
             let is_new = self.replace_by_children(&splits, context)?;
+            let mut staying = unchanged.iter().zip(&splits.slots).filter(|(_, slot)| **slot == u32::MAX);
+            let number = |is_new: &bool| if *is_new { CHANGED } else { staying.next().map_or(CHANGED, |(n, _)| *n) };
+            unchanged = is_new.iter().map(number).collect();
             (pending, long_edges) = self.to_be_split(|t| is_new[t]);
         }
+        self.unchanged = unchanged;
         Ok(())
     }
 
@@ -292,13 +305,52 @@ impl<'a> RedGreenLattice<'a> {
     /// # Errors
     /// [`Error::Cancelled`], [`Error::LimitReached`].
     pub fn elements(&self, context: &RunContext) -> Result<Elements> {
+        self.collect_elements(context, |t, elements| self.push_elements(t, elements))
+    }
+
+    /// As [`Self::elements`], taken over from those before the last refinement where that changed nothing, whose labels are
+    /// still those by centroid. For each element its number before, or [`CHANGED`].
+    ///
+    /// # Errors
+    /// As [`Self::elements`].
+    pub fn elements_after(&self, before: &Elements, context: &RunContext) -> Result<(Elements, Vec<u32>)> {
+        let mut firsts = vec![0u32; before.leaves.last().map_or(0, |leaf| *leaf as usize + 1) + 1];
+        (1..).zip(&before.leaves).for_each(|(end, leaf)| firsts[*leaf as usize + 1] = end);
+        let range_of = |leaf: u32| firsts[leaf as usize] as usize..firsts[leaf as usize + 1] as usize;
+        let elements = self.collect_elements(context, |t, elements| {
+            if self.unchanged[t] == CHANGED {
+                return self.push_elements(t, elements);
+            }
+            let range = range_of(self.unchanged[t]);
+            elements.leaves.resize(elements.leaves.len() + range.len(), t as u32);
+            elements.tets.extend_from_slice(&before.tets[range.clone()]);
+            elements.labels.extend_from_slice(&before.labels[range]);
+            Ok(())
+        })?;
+        let mut numbers = Vec::with_capacity(elements.leaves.len());
+        for of_leaf in elements.leaves.chunk_by(|a, b| a == b) {
+            let first = match self.unchanged[of_leaf[0] as usize] {
+                CHANGED => None,
+                leaf => Some(range_of(leaf).start),
+            };
+            numbers.extend((0..of_leaf.len()).map(|at| first.map_or(CHANGED, |first| (first + at) as u32)));
+        }
+        Ok((elements, numbers))
+    }
+
+    /// What `push` adds for each leaf, in order.
+    fn collect_elements(
+        &self,
+        context: &RunContext,
+        push: impl Fn(usize, &mut Elements) -> Result<()> + Sync,
+    ) -> Result<Elements> {
         let chunks: Vec<Elements> = (0..self.tets.len().div_ceil(CHUNK))
             .into_par_iter()
             .map(|c| {
                 context.check()?;
                 let mut elements = Elements::default();
                 for t in c * CHUNK..((c + 1) * CHUNK).min(self.tets.len()) {
-                    self.push_elements(t, &mut elements)?;
+                    push(t, &mut elements)?;
                 }
                 Ok(elements)
             })
@@ -347,7 +399,7 @@ mod tests {
     use crate::image::distance_transform::distance_to_other_labels;
     use crate::image::grid::Grid;
     use crate::image::label_image::LabelImage;
-    use crate::lattice::face_adjacency::neighbors_of;
+    use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
     use glam::DMat3;
 
     /// Marks leaves at random over several rounds: whatever edges are split, every leaf has a template afterwards.
@@ -367,7 +419,7 @@ mod tests {
         let image = LabelImage::new(grid, voxels, vec![0, 1]).unwrap();
         let context = RunContext::with_threads(1).unwrap();
         let distance = distance_to_other_labels(&image, &context).unwrap();
-        let mut count = 0;
+        let (mut count, mut kept) = (0, 0);
         for seed in 0..20u64 {
             let frame = LatticeFrame::new(&image, 5.0).unwrap();
             let field = Field::new(&image, &distance);
@@ -376,23 +428,33 @@ mod tests {
                 lattice.close_locally();
             }
             let mut state = 0x9e37_79b9_7f4a_7c15u64.wrapping_mul(seed + 1);
-            for _ in 0..4 {
+            let mut before = lattice.elements(&context).unwrap();
+            let mut neighbors_before = neighbors_of(&before.tets, lattice.vertices.positions.len()).unwrap();
+            // In the last round a few marks, so that most stays as it was.
+            for rarity in [23, 23, 23, 23, 5003] {
                 let marked: Vec<bool> = (0..lattice.tets.len())
                     .map(|_| {
                         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                        (state >> 33).is_multiple_of(23)
+                        (state >> 33).is_multiple_of(rarity)
                     })
                     .collect();
                 lattice.refine(&marked, &context).unwrap();
                 let elements = lattice.elements(&context).unwrap();
                 assert!(elements.tets.len() >= lattice.tets.len(), "seed {seed}");
-                neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap();
+                let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap();
+                // What is taken over is what would be made anew.
+                let (taken_over, numbers) = lattice.elements_after(&before, &context).unwrap();
+                assert!(taken_over == elements, "seed {seed}");
+                kept += numbers.iter().filter(|n| **n != CHANGED).count();
+                assert!(neighbors_after(&neighbors_before, &numbers, &elements.tets).unwrap() == neighbors);
+                (before, neighbors_before) = (taken_over, neighbors);
                 // No vertex hangs in the middle of an edge.
                 let edges = |tet: &[u32; 4]| TET_EDGES.map(|edge| edge.map(|v| tet[v]));
                 assert!(elements.tets.iter().flat_map(edges).all(|[a, b]| lattice.vertices.middle(a, b).is_none()));
             }
             count += lattice.elements(&context).unwrap().tets.len();
         }
+        assert!(kept > count / 100, "{kept} of {count}");
         count
     }
 }

@@ -151,7 +151,7 @@ pub fn finest_level(lattice: &RedGreenLattice, image: &LabelImage) -> u32 {
         .unwrap_or(lattice.frame.max_level())
 }
 
-/// The leaves that have to be refined.
+/// The leaves that have to be refined; of those in `straight` it is known that they miss no boundary.
 pub fn mark_leaves(
     lattice: &RedGreenLattice,
     elements: &Elements,
@@ -159,15 +159,18 @@ pub fn mark_leaves(
     deficit: &Deficit,
     targets: &Targets,
     finest: u32,
+    straight: impl Fn(usize) -> bool + Sync,
 ) -> Vec<bool> {
+    let lacks_any = deficit.lacking.contains(&true);
     let mut marked: Vec<bool> = lattice
         .tets
         .par_iter()
         .zip(lattice.levels.par_iter())
-        .map(|(tet, level)| {
+        .enumerate()
+        .map(|(leaf, (tet, level))| {
             u32::from(*level) < finest
-                && (changes_sign(lattice, tet, *level, deficit, targets)
-                    || misses_boundary(lattice, tet, *level, targets))
+                && (lacks_any && changes_sign(lattice, tet, *level, deficit, targets)
+                    || !straight(leaf) && misses_boundary(lattice, tet, *level, targets))
         })
         .collect();
     for m in mismatches {

@@ -24,7 +24,7 @@ use crate::error::Result;
 use crate::image::connected_components::Components;
 use crate::index::Label;
 use crate::lattice::bcc_lattice::floor_of;
-use crate::lattice::red_green::{Elements, RedGreenLattice};
+use crate::lattice::red_green::{CHANGED, Elements, RedGreenLattice};
 use crate::mesh::numbering::TET_FACES;
 
 /// Elements per parallel work item.
@@ -75,6 +75,35 @@ pub fn recounted(
         (0..before.len() as u32).into_par_iter().with_min_len(CHUNK).filter(|e| has_changed(*e)).collect();
     let anew = mismatches_of(lattice, elements, changed, components, context)?;
     let mut all: Vec<Mismatch> = found.iter().filter(|m| !has_changed(m.element)).copied().chain(anew).collect();
+    // Stable: those of one element keep their order.
+    all.sort_by_key(|m| m.element);
+    Ok(all)
+}
+
+/// The mismatches of elements, from those before a refinement: `found`, with the number then of each element, or
+/// [`CHANGED`].
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn mismatches_after(
+    found: &[Mismatch],
+    numbers: &[u32],
+    lattice: &RedGreenLattice,
+    elements: &Elements,
+    components: &Components,
+    context: &RunContext,
+) -> Result<Vec<Mismatch>> {
+    let is_new = |e: &u32| numbers[*e as usize] == CHANGED;
+    let new: Vec<u32> = (0..numbers.len() as u32).into_par_iter().with_min_len(CHUNK).filter(is_new).collect();
+    let mut all = mismatches_of(lattice, elements, new, components, context)?;
+    // Elements keep their order, and so do those that were there before.
+    let mut kept = (0u32..).zip(numbers).filter(|(_, number)| **number != CHANGED).peekable();
+    for mismatch in found {
+        while kept.next_if(|(_, number)| **number < mismatch.element).is_some() {}
+        if let Some((element, _)) = kept.peek().filter(|(_, number)| **number == mismatch.element) {
+            all.push(Mismatch { element: *element, ..*mismatch });
+        }
+    }
     // Stable: those of one element keep their order.
     all.sort_by_key(|m| m.element);
     Ok(all)
