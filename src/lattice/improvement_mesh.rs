@@ -42,6 +42,8 @@ pub struct ImprovementMesh<'a> {
     balls: Vec<Vec<u32>>,
     side_set: Vec<u32>,
     sets: Vec<Vec<Side>>,
+    /// Whether the background or a border is among the sides, by set.
+    is_outer_set: Vec<bool>,
     set_numbers: FxHashMap<Vec<Side>, u32>,
     free: Vec<u32>,
     scratch: Ball,
@@ -115,6 +117,7 @@ impl<'a> ImprovementMesh<'a> {
             fixed,
             balls,
             sets: vec![Vec::new()],
+            is_outer_set: vec![false],
             set_numbers: FxHashMap::from_iter([(Vec::new(), 0)]),
             free: Vec::new(),
             scratch: Ball::default(),
@@ -196,6 +199,8 @@ impl<'a> ImprovementMesh<'a> {
         }
         let number = self.sets.len() as u32;
         self.set_numbers.insert(set.clone(), number);
+        let is_outer = |side: &Side| !matches!(side, Side::Label(label) if !label.is_background());
+        self.is_outer_set.push(set.iter().any(is_outer));
         self.sets.push(set);
         number
     }
@@ -210,6 +215,12 @@ impl<'a> ImprovementMesh<'a> {
     #[inline]
     pub fn is_on_surface(&self, v: u32) -> bool {
         self.side_set[v as usize] != 0
+    }
+
+    /// Whether a vertex lies on the outside of the mesh.
+    #[inline]
+    pub fn is_at_outside(&self, v: u32) -> bool {
+        self.is_outer_set[self.side_set[v as usize] as usize]
     }
 
     /// Whether every side of `v` is a side of `w`.

@@ -105,6 +105,8 @@ pub struct IteratedSearch<'a> {
     pub reach: Reach,
     /// Perturbations left to try.
     pub budget: usize,
+    /// Vertices around what became better; some more than once.
+    pub changed: Vec<u32>,
 }
 
 impl IteratedSearch<'_> {
@@ -146,8 +148,9 @@ impl IteratedSearch<'_> {
                 mend(mesh, &near)?;
                 let mut changed = mesh.touched_since(trial);
                 changed.extend(&near);
-                if self.outcome(mesh, changed).is_better_than(&before) {
+                if self.outcome(mesh, changed.clone()).is_better_than(&before) {
                     mesh.keep_trial();
+                    self.changed.extend(changed);
                     return Ok(true);
                 }
             }
@@ -295,6 +298,7 @@ mod tests {
             perturbations: Perturbations::All,
             reach: Reach::Edges,
             budget: 1000,
+            changed: Vec::new(),
         };
         // Nobody reaches ninety degrees, and a mend that spoils all makes every perturbation fail.
         let mut spoil = |mesh: &mut ImprovementMesh, _: &[u32]| {
@@ -311,7 +315,9 @@ mod tests {
         // Contracting the edge between the inner vertices helps without a mend.
         search.wanted = 20.0;
         let lowest = work.lowest(&low());
+        assert!(search.changed.is_empty());
         assert!(search.run(&mut work, &low(), &mut |_, _| Ok(())).unwrap() > 0);
+        assert!(!search.changed.is_empty());
         let live: Vec<u32> = (0..work.tets.len() as u32).filter(|t| work.is_live(*t)).collect();
         assert!(work.lowest(&live) > lowest);
     }

@@ -43,7 +43,7 @@ use crate::lattice::iterated_search::{IteratedSearch, Perturbations, Reach};
 use crate::lattice::local_transformations::{TransformationCounts, loosen_scaffold, transform};
 use crate::lattice::progress_shares;
 use crate::lattice::scaffold::STIFF_SCAFFOLD_ANGLE;
-use crate::lattice::short_edges::contract_short_edges;
+use crate::lattice::short_edges::{contract_short_edges, remove_needles};
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
@@ -201,7 +201,8 @@ pub fn improve(
         }
         raise_low_tets(&mut work, low, &effort, may_transform.then_some(&mut summary.counts), context)?;
         if may_transform && round == SHORT_EDGE_ROUND {
-            summary.counts.short_edges += contract_short_edges(&mut work, wanted, COARSENED, 1);
+            // The rounds that follow move the ends of those that stay.
+            summary.counts.short_edges += contract_short_edges(&mut work, wanted, COARSENED);
         }
         if round + 1 < ROUNDS {
             update_offsets(&mut work, &clean.volumes, LARGEST_OFFSET * voxel);
@@ -209,11 +210,12 @@ pub fn improve(
     }
     advance(ROUNDS);
     if options.transformations == Transformations::Local {
-        summary.counts.short_edges += contract_short_edges(&mut work, wanted, NEEDLE, NEEDLE_PASSES);
+        summary.counts.short_edges += remove_needles(&mut work, wanted, NEEDLE, NEEDLE_PASSES);
         loosen_all(&mut work);
     }
     advance(ROUNDS + 1);
-    summary.searched = search_last(&mut work, lattice, options, voxel, &mut summary.counts, context)?;
+    let (searched, left) = search_last(&mut work, lattice, options, voxel, &mut summary.counts, context)?;
+    summary.searched = searched;
     for _ in 0..options.laplacian_iterations {
         context.check()?;
         (0..work.points.len() as u32).for_each(|v| {
@@ -221,7 +223,7 @@ pub fn improve(
         });
     }
     summary.crossings = count_crossings(&work);
-    let mut low = low_tets(&work, wanted);
+    let mut low = if options.laplacian_iterations == 0 { left } else { low_tets(&work, wanted) };
     low.retain(|(_, t)| work.part(*t) == Part::Mesh);
     summary.low_after = low.len();
     summary.lowest = low.first().map_or(wanted, |(score, _)| *score);
@@ -257,7 +259,8 @@ fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunC
     Ok(low_among(work, candidates.into_par_iter(), wanted))
 }
 
-/// Searches around the tets below the wanted score, also through worse meshes; returns how many places became better.
+/// Searches around the tets below the wanted score, also through worse meshes; returns how many places became better, and the
+/// tets that are still low, worst first.
 fn search_last(
     work: &mut ImprovementMesh,
     lattice: &[DVec3],
@@ -265,14 +268,15 @@ fn search_last(
     voxel: f64,
     counts: &mut TransformationCounts,
     context: &RunContext,
-) -> Result<usize> {
+) -> Result<(usize, Vec<(f64, u32)>)> {
     let wanted = WANTED.max(options.min_dihedral_angle);
     let may_transform = options.transformations == Transformations::Local;
     let perturbations = if may_transform { Perturbations::All } else { Perturbations::Moves };
     let mut better = 0;
     let mut budget = LARGEST_SEARCH;
+    let mut left = low_tets(work, wanted);
     for (reach, slack) in SEARCHES {
-        let low: Vec<u32> = low_tets(work, wanted).into_iter().map(|(_, t)| t).collect();
+        let mut low: Vec<u32> = left.iter().map(|(_, t)| *t).collect();
         let effort = Effort { wanted, surfaces: Surfaces::MayYield, slack: slack * voxel };
         let mut mend = |work: &mut ImprovementMesh, vertices: &[u32]| {
             for _ in 0..SEARCH_SWEEPS {
@@ -282,11 +286,17 @@ fn search_last(
             }
             Ok(())
         };
-        let mut search = IteratedSearch { lattice, wanted, slack: effort.slack, perturbations, reach, budget };
+        let mut search =
+            IteratedSearch { lattice, wanted, slack: effort.slack, perturbations, reach, budget, changed: Vec::new() };
         better += search.run(work, &low, &mut mend)?;
         budget = search.budget;
+        // Nowhere else has anything changed.
+        low.extend(work.tets_of(search.changed));
+        low.sort_unstable();
+        low.dedup();
+        left = low_among(work, low.into_par_iter(), wanted);
     }
-    Ok(better)
+    Ok((better, left))
 }
 
 /// Makes nearly flat tets of the scaffold better.

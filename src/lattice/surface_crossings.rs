@@ -41,7 +41,7 @@ fn is_kept_apart(mesh: &ImprovementMesh) -> bool {
     let faces_of = |t: u32| TET_FACES.map(|face| face.map(|v| mesh.tets[t as usize][v]));
     // Inside of a label there are neighbours on all sides.
     let may_be_open = |face: &[u32; 3]| {
-        face.iter().any(|v| !mesh.is_still(*v)) && face.iter().all(|v| mesh.is_on_surface(*v) || mesh.is_still(*v))
+        face.iter().any(|v| !mesh.is_still(*v)) && face.iter().all(|v| mesh.is_at_outside(*v) || mesh.is_still(*v))
     };
     let moving = |t: u32| {
         let faces = faces_of(t).into_iter().enumerate();
