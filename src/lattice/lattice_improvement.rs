@@ -43,7 +43,7 @@ use crate::lattice::iterated_search::{IteratedSearch, Perturbations, Reach};
 use crate::lattice::local_transformations::{TransformationCounts, loosen_scaffold, transform};
 use crate::lattice::progress_shares;
 use crate::lattice::scaffold::STIFF_SCAFFOLD_ANGLE;
-use crate::lattice::short_edges::{contract_short_edges, remove_needles};
+use crate::lattice::short_edges::contract_short_edges;
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
@@ -201,8 +201,7 @@ pub fn improve(
         }
         raise_low_tets(&mut work, low, &effort, may_transform.then_some(&mut summary.counts), context)?;
         if may_transform && round == SHORT_EDGE_ROUND {
-            // The rounds that follow move the ends of those that stay.
-            summary.counts.short_edges += contract_short_edges(&mut work, wanted, COARSENED);
+            summary.counts.short_edges += contract_short_edges(&mut work, wanted, COARSENED, 1);
         }
         if round + 1 < ROUNDS {
             update_offsets(&mut work, &clean.volumes, LARGEST_OFFSET * voxel);
@@ -210,7 +209,7 @@ pub fn improve(
     }
     advance(ROUNDS);
     if options.transformations == Transformations::Local {
-        summary.counts.short_edges += remove_needles(&mut work, wanted, NEEDLE, NEEDLE_PASSES);
+        summary.counts.short_edges += contract_short_edges(&mut work, wanted, NEEDLE, NEEDLE_PASSES);
         loosen_all(&mut work);
     }
     advance(ROUNDS + 1);

@@ -3,9 +3,9 @@
 //! # Method
 //! Tets whose shortest edge is less than a share of their longest are listed, the shortest edges first. Each such edge is
 //! contracted to either of its ends, when the changed tets score as high as the wanted score or as the tets before, whichever
-//! is less, and the surfaces allow it ([`contract_edge`]). At the end ([`remove_needles`]), where they do not, its ends move
-//! apart: an inner one towards the middle of its ball, one on a surface along that, as far as the same scores allow. A few
-//! sweeps, after the first only over tets near those that changed.
+//! is less, and the surfaces allow it ([`contract_edge`]). Where they do not, its ends move apart: an inner one towards the
+//! middle of its ball, one on a surface along that, as far as the same scores allow. A few sweeps, after the first only over
+//! tets near those that changed.
 //!
 //! Angles alone do not see such edges: a needle has good ones. A solver does: the shortest edge sets the step in time of an
 //! explicit one and the condition number of an implicit one [Shewchuk2002].
@@ -14,6 +14,7 @@
 //! The mesh conforms; no score falls below the wanted one that was not below before.
 
 use rayon::prelude::*;
+use rustc_hash::FxHashSet;
 
 use crate::lattice::element_score::{Ball, Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
@@ -21,20 +22,15 @@ use crate::lattice::local_transformations::{contract_edge, may_contract};
 use crate::lattice::vertex_optimization::{plan_centering, plan_relaxation};
 use crate::mesh::numbering::TET_EDGES;
 
-/// Contracts edges below the share `short` of the longest in their tet, in one sweep; returns how many.
-pub fn contract_short_edges(mesh: &mut ImprovementMesh, wanted: f64, short: f64) -> usize {
-    let edges = short_edges(mesh, short, all_tets(mesh));
-    edges.into_iter().filter(|(_, [a, b])| !mesh.shell(*a, *b).is_empty() && contract(mesh, *a, *b, wanted)).count()
-}
-
-/// Contracts edges below the share `short` of the longest in their tet, or moves their ends apart, in at most `passes` sweeps;
-/// returns how many were contracted.
-pub fn remove_needles(mesh: &mut ImprovementMesh, wanted: f64, short: f64, passes: usize) -> usize {
+/// Contracts edges below the share `short` of the longest in their tet, in at most `passes` sweeps; returns how many.
+pub fn contract_short_edges(mesh: &mut ImprovementMesh, wanted: f64, short: f64, passes: usize) -> usize {
     let mut contracted = 0;
-    let mut edges = short_edges(mesh, short, all_tets(mesh));
+    let mut edges = short_edges(mesh, short, (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096));
     for pass in 1..=passes {
         // What changed nowhere near would fail again.
         let mut touched: Vec<u32> = Vec::new();
+        // A vertex has many short edges, and one place to go.
+        let mut tried = FxHashSet::default();
         for (_, [a, b]) in edges {
             if mesh.shell(a, b).is_empty() {
                 continue;
@@ -44,7 +40,7 @@ pub fn remove_needles(mesh: &mut ImprovementMesh, wanted: f64, short: f64, passe
                 contracted += 1;
                 touched.extend([a, b]);
             } else {
-                move_apart(mesh, a, b, wanted);
+                move_apart(mesh, [a, b], wanted, &mut tried);
                 touched
                     .extend([a, b].iter().zip(places).filter(|(v, p)| mesh.points[**v as usize] != *p).map(|(v, _)| v));
             }
@@ -56,10 +52,6 @@ pub fn remove_needles(mesh: &mut ImprovementMesh, wanted: f64, short: f64, passe
         edges = short_edges(mesh, short, mesh.tets_of(near).into_par_iter());
     }
     contracted
-}
-
-fn all_tets(mesh: &ImprovementMesh) -> impl ParallelIterator<Item = u32> + use<> {
-    (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096)
 }
 
 /// Square of the length and ends of the short edges of some tets, the shortest first.
@@ -91,10 +83,14 @@ fn contract(mesh: &mut ImprovementMesh, a: u32, b: u32, wanted: f64) -> bool {
     })
 }
 
-/// Lengthens an edge by moving its ends to better places, where no score falls below the wanted one that was not below.
-fn move_apart(mesh: &mut ImprovementMesh, a: u32, b: u32, wanted: f64) {
+/// Lengthens an edge by moving its ends to better places, where no score falls below the wanted one that was not below; those
+/// that have been `tried` stay.
+fn move_apart(mesh: &mut ImprovementMesh, [a, b]: [u32; 2], wanted: f64, tried: &mut FxHashSet<u32>) {
     let mut ball = Ball::default();
     for (v, other) in [(a, b), (b, a)] {
+        if !tried.insert(v) {
+            continue;
+        }
         let bound = Threshold::of(wanted);
         let target = if mesh.is_on_surface(v) {
             plan_relaxation(mesh, v, &bound, &mut ball)
@@ -143,7 +139,7 @@ mod tests {
         let mut work = ImprovementMesh::new(&mut mesh, &SourcePoints::default(), surface);
         // Without sources no vertex is on a surface: those of the outside are held instead.
         [0, 3, 4, 5, 6, 7].into_iter().for_each(|v: usize| work.fixed[v] = true);
-        assert_eq!(remove_needles(&mut work, 15.0, 0.2, 3), 1);
+        assert_eq!(contract_short_edges(&mut work, 15.0, 0.2, 3), 1);
         work.finish(&mut mesh);
         assert_eq!((mesh.points.len(), mesh.tets.len()), (7, 8));
         let volume: f64 =
