@@ -5,6 +5,7 @@
 //!    of the sizes (`cdf`) the longest is twice the length of the boundary's edges.
 //! 2. An operation keeps the lengths when the edges out of range grow by no more than a tenth of the number by which all edges
 //!    grow: so operations that take vertices away, and good edges with them, have to take bad ones as well.
+//! 3. An operation betters the lengths when it makes more edges than it takes, and no more out of range.
 //!
 //! # Source
 //! [Drakopoulos2017] 4.7.1 (distribution function).
@@ -49,6 +50,30 @@ pub fn keeps_lengths<S: TetStore + ?Sized>(
     plan: &Plan,
     scratch: &mut LengthScratch,
 ) -> bool {
+    let ([gone, made], [bad_gone, bad_made]) = count_edges(store, spacing, fresh, plan, scratch);
+    bad_made - bad_gone <= TOLERATED * (made - gone) + SLACK
+}
+
+/// Whether a plan makes more edges and no more of them out of range. As [`keeps_lengths`].
+pub fn betters_lengths<S: TetStore + ?Sized>(
+    store: &S,
+    spacing: Spacing<'_>,
+    fresh: Option<(VertexId, f64)>,
+    plan: &Plan,
+    scratch: &mut LengthScratch,
+) -> bool {
+    let ([gone, made], [bad_gone, bad_made]) = count_edges(store, spacing, fresh, plan, scratch);
+    made > gone && bad_made <= bad_gone
+}
+
+/// How many edges a plan takes away and makes, and how many of these are out of range.
+fn count_edges<S: TetStore + ?Sized>(
+    store: &S,
+    spacing: Spacing<'_>,
+    fresh: Option<(VertexId, f64)>,
+    plan: &Plan,
+    scratch: &mut LengthScratch,
+) -> ([f64; 2], [f64; 2]) {
     let LengthScratch { before, after } = scratch;
     collect_edges(plan.old.iter().map(|&tet| store.vertices(tet)), before);
     collect_edges(plan.new.iter().copied(), after);
@@ -67,7 +92,7 @@ pub fn keeps_lengths<S: TetStore + ?Sized>(
         alone.fold((0.0_f64, 0.0_f64), |(all, bad), &edge| (all + 1.0, bad + f64::from(u8::from(!is_in_range(edge)))))
     };
     let ((gone, bad_gone), (made, bad_made)) = (count(before, after), count(after, before));
-    bad_made - bad_gone <= TOLERATED * (made - gone) + SLACK
+    ([gone, made], [bad_gone, bad_made])
 }
 
 #[cfg(test)]

@@ -21,8 +21,11 @@
 //! # Limits
 //! A claimed store has room for a given number of new tets; items without room are worked off in another round.
 
+mod edge_splitting;
 mod tet_treatment;
 
+use edge_splitting::SplitJob;
+pub use edge_splitting::longest_excess;
 use tet_treatment::SPACING;
 use tet_treatment::TreatJob;
 pub use tet_treatment::{Crowding, FLAT_BELOW, Treatment, count_of_bad};
@@ -663,6 +666,35 @@ impl Driver {
             let measure = StrictInside { angles: BiasedSine, on_boundary, relief: treatment.relief };
             self.run(complex, &TreatJob { sizes, measure, treatment }, bad, room)?;
         }
+        self.take_new_sizes(sizes);
+        self.finish_lost(complex, Objective::EdgeWeight, FourFour::Off)?;
+        let after: u64 = self.kits.iter().map(|k| k.tally.done).sum();
+        Ok((after - before) as usize)
+    }
+
+    /// Splits the edges of some tets that are far too long, where that betters the lengths and lowers no angle that counts;
+    /// returns how many were split.
+    ///
+    /// # Errors
+    /// As [`Driver::insert`].
+    pub fn split_long_edges(
+        &mut self,
+        complex: &mut TetComplex,
+        sizes: &mut Vec<f64>,
+        on_boundary: &[bool],
+        tets: Vec<TetId>,
+    ) -> Result<usize> {
+        let before: u64 = self.kits.iter().map(|k| k.tally.done).sum();
+        self.deal_spares(complex, sizes, tets.len())?;
+        let room = 8 * tets.len();
+        self.run(complex, &SplitJob::new(sizes, on_boundary), tets, room)?;
+        self.take_new_sizes(sizes);
+        let after: u64 = self.kits.iter().map(|k| k.tally.done).sum();
+        Ok((after - before) as usize)
+    }
+
+    /// Notes the sizes of the points that threads have inserted and takes back the spare vertices.
+    fn take_new_sizes(&mut self, sizes: &mut [f64]) {
         for kit in &mut self.kits {
             for (vertex, size) in kit.new_sizes.drain(..) {
                 sizes[vertex.index()] = size;
@@ -670,9 +702,6 @@ impl Driver {
             self.spare.append(&mut kit.spare);
             self.spare.append(&mut kit.removed);
         }
-        self.finish_lost(complex, Objective::EdgeWeight, FourFour::Off)?;
-        let after: u64 = self.kits.iter().map(|k| k.tally.done).sum();
-        Ok((after - before) as usize)
     }
 
     /// What treatments changed since the last call.

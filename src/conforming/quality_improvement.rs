@@ -12,11 +12,14 @@
 //! are nearly flat, or bad without a vertex on the boundary, get them wherever the points come to lie.
 //! Up to `nqualf` times, while a tet is above `angqmax`, passes and operations are repeated around these tets.
 //!
-//! Slivers that the boundary does not force and that do not crowd then get all operations and the reconnection of small polyhedra, while tets on
-//! the boundary's needles count as better than they are (`needle_faces`). At the end, tets with faces that finite-volume
-//! solvers find skew get all operations under a measure that counts skewness: needles on a small triangle may lean far
-//! while their angles are good. Around what may not stay even then, iterated local search goes on (`region_search`); at last,
-//! for tets off the boundary that are still bad, whatever becomes of those at it.
+//! Slivers that the boundary does not force and that do not crowd then get all operations and the reconnection of small
+//! polyhedra, while tets on the boundary's needles count as better than they are (`needle_faces`). Edges that are still far
+//! too long for the sizes get points where no angle pays for it (`edge_splitting`).
+//!
+//! At the end, tets with faces that finite-volume solvers find skew get all operations under a measure that counts
+//! skewness: needles on a small triangle may lean far while their angles are good. Around what may not stay even then,
+//! iterated local search goes on (`region_search`); at last, for tets off the boundary that are still bad, whatever becomes
+//! of those at it.
 //!
 //! # Source
 //! [Drakopoulos2017] 4.9; B.3 `nqual`, `nqualf`, `angqual`, `angqmsk`, `angqmax`, `mrecqm`, `mrecqmf`, `ordtq`, `mdfs`, `ndfs`,
@@ -27,7 +30,8 @@
 //! surface would be improved twice for the sake of few places.
 //!
 //! # Invariants
-//! No operation lowers the worst tet of what it touches (except plain smoothing with `smart` off, which stays valid).
+//! No operation lowers the worst tet of what it touches (except plain smoothing with `smart` off, which stays valid, and
+//! points in long edges, beside which good tets stay good).
 //! Constraints are kept.
 //!
 //! # Cost
@@ -44,7 +48,7 @@ use super::forced_slivers::{crowded_slivers, is_forced_sliver, sliver_cosine};
 use super::local_reconnection::{FourFour, Objective};
 use super::needle_faces::NeedleFaces;
 use super::options::Options;
-use super::parallel_reconnection::{Crowding, Driver, FLAT_BELOW, Touched, Treatment, count_of_bad};
+use super::parallel_reconnection::{Crowding, Driver, FLAT_BELOW, Touched, Treatment, count_of_bad, longest_excess};
 use super::refinement::boundary_triangles;
 use super::region_search::{Aim, DEPTHS, RegionSearch, grade_off_boundary, may_not_stay};
 use super::smoothing::{Acceptance, SmoothingRule, Target};
@@ -70,6 +74,8 @@ const WORST_GOAL: (f64, f64) = (24.0, 145.0);
 /// Share of the vertices that may be inserted closer to others than the sizes want, for the worst tets. On surfaces with
 /// needles everywhere most edges would be too short if points crowded around each bad tet.
 const CROWDED_POINTS: f64 = 0.01;
+/// Most rounds over the edges that are far too long: the halves of some are too long still.
+const SPLIT_ROUNDS: usize = 4;
 /// Tets per parallel chunk.
 const CHUNK: usize = 2048;
 
@@ -389,6 +395,7 @@ pub fn improve(
         }
         scope = Scope::around(complex, context, &left, REPEAT_RINGS);
     }
+    improver.split_long_edges(complex, sizes)?;
     improver.treat_skew_faces(complex, sizes)?;
     let [tried, replaced] = improver.search_regions(complex, sizes)?;
     figures.set("quality.disturbances", tried as f64);
@@ -613,6 +620,23 @@ impl Improver<'_> {
             }
         }
         Ok(search.counts)
+    }
+
+    /// Points in edges that are far too long: where walls are close, removals of edges and vertices for the sake of angles
+    /// leave many.
+    fn split_long_edges(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>) -> Result<()> {
+        if !self.options.delete_field_slivers {
+            return Ok(());
+        }
+        for _ in 0..SPLIT_ROUNDS {
+            self.context.check()?;
+            let excess = |tet: TetId| longest_excess(complex, sizes, tet).map(|excess| -excess);
+            let long = sift(complex, self.context, &Scope::default(), |_| false, excess).0;
+            if long.is_empty() || self.driver.split_long_edges(complex, sizes, self.on_boundary, long)? == 0 {
+                break;
+            }
+        }
+        Ok(())
     }
 
     /// All operations at tets with skew faces but no sliver's angles.

@@ -144,6 +144,40 @@ pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
     (Outcome::Accepted, place)
 }
 
+/// Plans the insertion of `vertex` that splits an edge of `tet`, from the middle of the edge on. No new tet is below
+/// the worst that goes, or else below the floor. As [`plan_sliver_insertion`].
+pub fn plan_edge_split<S: TetStore + ?Sized, M: TetMeasure>(
+    store: &mut S,
+    (tet, edge): (TetId, usize),
+    vertex: VertexId,
+    limits: InsertionLimits<'_>,
+    measure: &M,
+    scratch: &mut SliverScratch,
+    flips: &mut FlipScratch,
+) -> (Outcome, DVec3) {
+    if let Some(refusal) = claim_start(store, tet, vertex) {
+        return (refusal, DVec3::ZERO);
+    }
+    match gather(store, tet, &[edge], measure, scratch) {
+        Outcome::Accepted => {}
+        other => return (other, DVec3::ZERO),
+    }
+    let graded = |&t: &TetId| grade_of(store, measure, store.vertices(t));
+    let old = scratch.cavity.iter().map(graded).fold(f64::INFINITY, f64::min);
+    let corners = store.points_of(tet);
+    let middle = TET_EDGES[edge].map(|end| corners[end]).iter().sum::<DVec3>() / 2.0;
+    // All tets around the edge see its middle.
+    let (place, grade) = scratch.star.search(measure, middle);
+    if grade < old.min(limits.floor) || !scratch.star.is_visible_from(place) {
+        return (Outcome::WorsensQuality, DVec3::ZERO);
+    }
+    if !scratch.keeps_distance(store, place, &limits) {
+        return (Outcome::WorsensQuality, DVec3::ZERO);
+    }
+    scratch.write_plan(store, tet, vertex, (old, grade), flips);
+    (Outcome::Accepted, place)
+}
+
 /// The union of the shells of some edges of `tet`, claimed, in `cavity`, with its border and star.
 fn gather<S: TetStore + ?Sized, M: TetMeasure>(
     store: &mut S,

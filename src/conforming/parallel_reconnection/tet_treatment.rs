@@ -50,12 +50,12 @@ const GAIN: f64 = 1.3;
 /// Share of its longest edge below which an edge of a bad tet is short: opposite to it angles are small.
 const SHORT_EDGE: f64 = 0.25;
 /// The angle that every new tet of all other insertions reaches, degrees.
-const FLOOR: f64 = 18.0;
+pub(super) const FLOOR: f64 = 18.0;
 /// Distance that vertices keep from their neighbours where they may not crowd, in shares of their average size: with edges
 /// below half the size of the boundary the mesh would no longer follow the size field.
 pub(super) const SPACING: f64 = 0.5;
 /// The same for the longest: with the default factor of the sizes (`cdf`, 1.2) twice the length of the boundary's edges.
-const LONGEST: f64 = 2.0 / 1.2;
+pub(super) const LONGEST: f64 = 2.0 / 1.2;
 
 /// Whether edges may become shorter or longer than the sizes want, for the sake of bad tets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
