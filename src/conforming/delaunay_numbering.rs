@@ -107,10 +107,21 @@ pub(super) fn renumber(halves: &mut Vec<[u32; 4]>, vertices: &VertexNames<'_>) {
     halves.shrink_to_fit();
 }
 
-/// Parts of the vertices, one for each thread.
-fn parts(vertices: usize) -> Vec<Range<usize>> {
+/// Parts of the vertices, one for each thread, with what of `entries` belongs to each: as many as `count` says of a range.
+fn parts<T>(
+    vertices: usize,
+    mut entries: &mut [T],
+    count: impl Fn(&Range<usize>) -> usize,
+) -> Vec<(Range<usize>, &mut [T])> {
     let length = vertices.div_ceil(rayon::current_num_threads()).max(1);
-    (0..vertices).step_by(length).map(|begin| begin..(begin + length).min(vertices)).collect()
+    let ranges = (0..vertices).step_by(length).map(|begin| begin..(begin + length).min(vertices));
+    let mut parts = Vec::new();
+    for range in ranges {
+        let (part, after) = entries.split_at_mut(count(&range));
+        parts.push((range, part));
+        entries = after;
+    }
+    parts
 }
 
 /// The vertices of all rows that are not free, with their old numbers.
@@ -121,13 +132,7 @@ fn live_rows(halves: &[[u32; 4]]) -> impl Iterator<Item = (usize, [u32; 4])> + '
 /// Where the group of each vertex begins, and the end of the last.
 fn group_starts(halves: &[[u32; 4]], vertices: usize) -> Vec<u32> {
     let mut starts = vec![0u32; vertices + 1];
-    let mut rest = &mut starts[1..];
-    let mut jobs = Vec::new();
-    for range in parts(vertices) {
-        let (part, after) = rest.split_at_mut(range.len());
-        jobs.push((range, part));
-        rest = after;
-    }
+    let jobs = parts(vertices, &mut starts[1..], |range| range.len());
     // Each thread looks at all rows and counts those of its own vertices: the rows are read in a row, and no count is shared.
     jobs.into_par_iter().for_each(|(range, counts)| {
         for (_, [a, b, c, d]) in live_rows(halves) {
@@ -147,13 +152,7 @@ fn group_starts(halves: &[[u32; 4]], vertices: usize) -> Vec<u32> {
 fn sorted_records(halves: &[[u32; 4]], starts: &[u32]) -> Vec<u128> {
     let vertices = starts.len() - 1;
     let mut records = vec![0u128; starts[vertices] as usize];
-    let mut rest = records.as_mut_slice();
-    let mut jobs = Vec::new();
-    for range in parts(vertices) {
-        let (part, after) = rest.split_at_mut((starts[range.end] - starts[range.start]) as usize);
-        jobs.push((range, part));
-        rest = after;
-    }
+    let jobs = parts(vertices, &mut records, |range| (starts[range.end] - starts[range.start]) as usize);
     jobs.into_par_iter().for_each(|(range, records)| {
         let begin = starts[range.start];
         let mut next: Vec<u32> = starts[range.clone()].iter().map(|start| start - begin).collect();

@@ -36,8 +36,8 @@ use super::crossings::tets_along;
 use super::edge_recovery::recover_edge;
 use super::edge_rerouting::take_place;
 use super::face_recovery::recover_face;
-use super::steiner_points::insert_point;
 use super::steiner_removal::remove_vertex;
+use super::volume_points::insert_to_recover;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::{TetId, VertexId};
@@ -259,19 +259,9 @@ impl<'a> Merging<'a> {
         places: [DVec3; 3],
     ) -> Result<Option<VertexId>> {
         for place in places {
-            let count = mesh.complex.points().len();
-            mesh.begin_trial();
-            let hint = mesh.complex.tet_of(missing[0][0]);
-            let steiner = insert_point(mesh, place, hint)?;
-            let mut is_whole = steiner.is_some();
-            for &edge in missing {
-                is_whole = is_whole && recover_edge(mesh, edge, &self.recovery)?;
+            if let Some(steiner) = insert_to_recover(mesh, place, missing, &self.recovery)? {
+                return Ok(Some(steiner));
             }
-            mesh.end_trial(is_whole)?;
-            if is_whole {
-                return Ok(steiner);
-            }
-            mesh.forget_points(count);
         }
         Ok(None)
     }
@@ -337,6 +327,7 @@ fn is_apart(mesh: &ConstrainedMesh, point: VertexId, crossed: &[VertexId]) -> bo
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::conforming::boundary_recovery::steiner_points::insert_point;
     use crate::conforming::boundary_recovery::steiner_removal::remove_steiner_points;
     use crate::conforming::boundary_recovery::{edge_efforts, efforts, recover, restore_surface};
     use crate::conforming::options::Options;

@@ -89,19 +89,37 @@ fn unlock_edge(mesh: &mut ConstrainedMesh, edge: EdgeKey, effort: &Effort) -> Re
         if mesh.cancel.is_cancelled() {
             return Ok(false);
         }
-        let count = mesh.complex.points().len();
-        mesh.begin_trial();
-        let hint = mesh.complex.tet_of(edge[0]);
-        let steiner = insert_point(mesh, place, hint)?;
-        let recovered = steiner.is_some() && recover_edge(mesh, edge, effort)?;
-        mesh.end_trial(recovered)?;
-        if let Some(steiner) = steiner.filter(|_| recovered) {
+        if let Some(steiner) = insert_to_recover(mesh, place, &[edge], effort)? {
             mesh.volume_points.push(steiner);
             return Ok(true);
         }
-        mesh.forget_points(count);
     }
     Ok(false)
+}
+
+/// Puts a point at a place where all of some edges are recovered then; else nothing changes.
+///
+/// # Errors
+/// `LimitReached`, and those of vertex and tet creation.
+pub fn insert_to_recover(
+    mesh: &mut ConstrainedMesh,
+    place: DVec3,
+    edges: &[EdgeKey],
+    effort: &Effort,
+) -> Result<Option<VertexId>> {
+    let count = mesh.complex.points().len();
+    mesh.begin_trial();
+    let hint = mesh.complex.tet_of(edges[0][0]);
+    let steiner = insert_point(mesh, place, hint)?;
+    let mut is_whole = steiner.is_some();
+    for &edge in edges {
+        is_whole = is_whole && recover_edge(mesh, edge, effort)?;
+    }
+    mesh.end_trial(is_whole)?;
+    if !is_whole {
+        mesh.forget_points(count);
+    }
+    Ok(steiner.filter(|_| is_whole))
 }
 
 /// The middle of the vertices of some tets.
