@@ -35,10 +35,11 @@ use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
 use crate::lattice::euler_ranges::EulerRanges;
 use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
 use crate::lattice::image_contacts::ImageContacts;
-use crate::lattice::interface_carving::carve;
+use crate::lattice::interface_carving::{Extent, carve};
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::mesh_regions::{
-    component_counts, fill_unseen_regions, joinable_regions, regions_of, relabel_loose_regions, surplus_of,
+    component_counts, fill_unseen_regions, joinable_regions, number_by_image, regions_of, relabel_loose_regions,
+    surplus_of,
 };
 use crate::lattice::missed_voxels::mark_missed_voxels;
 use crate::lattice::mixed_elements::{self, SurfaceCount};
@@ -49,7 +50,7 @@ use crate::lattice::region_gaps::elements_at_gaps;
 use crate::lattice::report::Report;
 use crate::lattice::subdivision_criteria::{Deficit, Targets, finest_level, mark_leaves};
 use crate::lattice::topology_differences::elements_at_differences;
-use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, mismatches, mismatches_after, recounted};
+use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, mismatches, mismatches_after, recounted, voxels_of};
 
 /// Rounds of refinement for the sake of topology: a pinch that comes from the image's own shape is gone after two or three
 /// (edges of 4 voxels become half a voxel), one that the lattice makes anew each time never goes. On an atlas of brain lobes the
@@ -363,22 +364,31 @@ impl Rounds<'_> {
         let unchanged = elements.labels.clone();
         let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices);
         let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
-        let may_take = |labels: &[Label], changed: &[u32], label: Label| contacts.allow(labels, changed, label);
-        let wanted = &self.euler;
-        let changed = self.report.timed("topology", || {
-            let euler = (!wanted.is_empty()).then(|| topology.euler_ranges(&elements.labels, wanted));
-            topology.repair(&mut elements.labels, euler, may_take)
-        });
-        if changed == 0 {
-            return Ok(found);
+        let voxels_lost = |labels: &[Label], changed: &[u32], label: Label| {
+            let of_element = |e: &u32| voxels_of(lattice, &elements.tets[*e as usize], labels[*e as usize]);
+            contacts.allow(labels, changed, label).then(|| changed.iter().map(of_element).sum())
+        };
+        // Where the changes cost too many voxels all told, those that cost none remain.
+        for most_lost in [usize::MAX, 0] {
+            let may_lose = |labels: &[Label], changed: &[u32], label: Label| {
+                voxels_lost(labels, changed, label).filter(|lost| *lost <= most_lost)
+            };
+            let wanted = &self.euler;
+            let changed = self.report.timed("topology", || {
+                let euler = (!wanted.is_empty()).then(|| topology.euler_ranges(&elements.labels, wanted));
+                topology.repair(&mut elements.labels, euler, may_lose)
+            });
+            if changed == 0 {
+                break;
+            }
+            let after = self.recount(&found, &unchanged, lattice, elements)?;
+            if !self.deficit(&after).is_worse_than(before) {
+                self.report.add("topology.relabelled", changed as f64);
+                return Ok(after);
+            }
+            elements.labels.clone_from(&unchanged);
         }
-        let after = self.recount(&found, &unchanged, lattice, elements)?;
-        if self.deficit(&after).is_worse_than(before) {
-            elements.labels = unchanged;
-            return Ok(found);
-        }
-        self.report.add("topology.relabelled", changed as f64);
-        Ok(after)
+        Ok(found)
     }
 
     /// Relabels loose regions and pinched elements; returns the leaves to refine where that was not enough, and
@@ -464,7 +474,7 @@ impl Rounds<'_> {
         found: Vec<Mismatch>,
     ) -> Result<(Vec<[u32; 4]>, Vec<Mismatch>)> {
         let mut is_carved = false;
-        for _ in 0..CARVING_ROUNDS {
+        for round in 1..=CARVING_ROUNDS {
             let vertices = lattice.vertices.positions.len();
             let pinched = InterfaceTopology::new(&elements.tets, &neighbors, vertices).pinched(&elements.labels);
             if pinched.is_empty() {
@@ -472,8 +482,10 @@ impl Rounds<'_> {
             }
             let regions = regions_of(&elements.labels, &neighbors);
             let surplus = self.surplus(&regions);
-            let joinable = joinable_regions(elements, &regions, surplus);
-            let carved = carve(lattice, elements, &neighbors, &pinched, &joinable, &self.euler);
+            let mut joinable = joinable_regions(elements, &regions, surplus);
+            number_by_image(&mut joinable, &regions, lattice, elements, &self.components);
+            let extent = if round < CARVING_ROUNDS { Extent::NearLabel } else { Extent::Whole };
+            let carved = carve(lattice, elements, &neighbors, &pinched, &joinable, &self.euler, extent);
             self.report.add("topology.carved_vertices", carved as f64);
             if carved == 0 {
                 break;

@@ -221,9 +221,9 @@ impl Clipping {
         let may_take = |_: &[Label], changed: &[u32], _: Label| changed.iter().all(|e| relabels[*e as usize]);
         relabel_for_smoothing(&mut self.labels, &continued, may_take);
         let topology = InterfaceTopology::new(&self.tets, &neighbors, self.points.len());
-        topology.repair(&mut self.labels, None, may_take);
+        topology.repair(&mut self.labels, None, |labels, changed, to| may_take(labels, changed, to).then_some(0));
         // What still pinches needs a change farther inside, or of all its elements at once.
-        topology.repair(&mut self.labels, None, |_, _, _| true);
+        topology.repair(&mut self.labels, None, |_, _, _| Some(0));
         unite_at_pinches(&topology, &mut self.labels, relabels);
         Ok(())
     }
@@ -270,7 +270,8 @@ fn unite_at_pinches(topology: &InterfaceTopology, labels: &mut Vec<Label>, may_c
         for label in around {
             let mut tried = labels.clone();
             ball.iter().filter(|e| may_change[**e as usize]).for_each(|e| tried[*e as usize] = label);
-            topology.repair(&mut tried, None, |_, changed, _| changed.iter().all(|e| may_change[*e as usize]));
+            let may_take = |changed: &[u32]| changed.iter().all(|e| may_change[*e as usize]);
+            topology.repair(&mut tried, None, |_, changed, _| may_take(changed).then_some(0));
             let left = topology.pinched(&tried);
             if left.len() < pinched.len() {
                 (*labels, pinched) = (tried, left);

@@ -5,7 +5,8 @@
 //!    others, at the middles of the edges: the inner parts are a regular neighbourhood of the subcomplex.
 //! 2. Each connected group of pinched vertices gets one label for all its inner parts: one that has elements at as many of
 //!    them as any other, of these the label whose pieces the pinch keeps apart, or that lies between two others that touch;
-//!    not one that would join two components of the image. Where Euler numbers are to be kept, first of all one that leaves
+//!    not one that would join two components of the image. The vertices that do not have the label are left for another
+//!    round, with other labels, while rounds are left. Where Euler numbers are to be kept, first of all one that leaves
 //!    them within reach ([`super::euler_ranges`]).
 //!
 //! ```text
@@ -43,10 +44,19 @@ use crate::lattice::red_green::{Elements, RedGreenLattice};
 
 /// What is known of the pieces of labels, to choose what may be joined.
 pub struct Regions {
-    /// Region of each element: elements of one label connected through faces.
+    /// Region of each element: elements of one label connected through faces, or of one component of the image.
     pub of_element: Vec<u32>,
     /// How many more regions each label has than the image has components; these may be joined.
     pub surplus: Vec<i64>,
+}
+
+/// How much of a group of pinched vertices its label fills.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Extent {
+    /// The vertices that have the label, where the lattice has room for another label at the others later.
+    NearLabel,
+    /// All.
+    Whole,
 }
 
 /// Cuts the elements around the pinched vertices and labels the inner parts; returns the number of vertices treated. `euler` are
@@ -58,19 +68,27 @@ pub fn carve(
     pinched: &[u32],
     regions: &Regions,
     euler: &[i64],
+    extent: Extent,
 ) -> usize {
     let vertices = lattice.vertices.positions.len();
     let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices);
     let mut euler = (!euler.is_empty()).then(|| topology.euler_ranges(&elements.labels, euler));
     let mut group_of = vec![u32::MAX; vertices];
     let mut labels = Vec::new();
-    for group in groups_of(&topology, pinched, &elements.tets) {
+    let has = |v: u32, label: Label| topology.has_label(v, label, &elements.labels);
+    for mut group in groups_of(&topology, pinched, &elements.tets) {
         let around = topology.elements_around(&group);
-        let is_even = around.iter().all(|e| has_middles(lattice, &elements.tets[*e as usize]));
-        if !is_even {
+        let can_halve = |times: u32| around.iter().all(|e| has_middles(lattice, &elements.tets[*e as usize], times));
+        if !can_halve(1) {
             continue;
         }
-        let Some(label) = label_for(&topology, &group, &elements.labels, regions, euler.as_mut()) else { continue };
+        let Some(label) = label_for(&topology, &group, &elements.labels, regions, euler.as_ref()) else { continue };
+        if extent == Extent::NearLabel && can_halve(2) && group.iter().any(|v| has(*v, label)) {
+            group.retain(|v| has(*v, label));
+        }
+        if let Some(euler) = &mut euler {
+            euler.add(&topology.euler_changes_by_filling(&group, label, &elements.labels));
+        }
         group.iter().for_each(|v| group_of[*v as usize] = labels.len() as u32);
         labels.push(label);
     }
@@ -111,10 +129,11 @@ fn groups_of(topology: &InterfaceTopology, pinched: &[u32], tets: &[[u32; 4]]) -
     groups
 }
 
-/// Whether the middles of all edges are lattice points.
-fn has_middles(lattice: &RedGreenLattice, tet: &[u32; 4]) -> bool {
+/// Whether the middles of all edges are lattice points, also after further halvings.
+fn has_middles(lattice: &RedGreenLattice, tet: &[u32; 4], times: u32) -> bool {
     let positions = tet.map(|v| lattice.vertices.positions[v as usize]);
-    positions.iter().all(|p| ((*p - positions[0]) & IVec3::ONE) == IVec3::ZERO)
+    let rest = IVec3::splat((1 << times) - 1);
+    positions.iter().all(|p| ((*p - positions[0]) & rest) == IVec3::ZERO)
 }
 
 /// The label that fills a group; `None` where each would join components of the image.
@@ -125,7 +144,7 @@ fn label_for(
     group: &[u32],
     labels: &[Label],
     regions: &Regions,
-    euler: Option<&mut EulerRanges>,
+    euler: Option<&EulerRanges>,
 ) -> Option<Label> {
     let around = topology.elements_around(group);
     let mut candidates: Vec<Label> = around.iter().map(|e| labels[*e as usize]).collect();
@@ -145,23 +164,16 @@ fn label_for(
         pieces.len() as i64 - 1 > regions.surplus[label.index()].max(0)
     };
     // A group may be a chain many voxels long: a label that is only at one end of it would reach far from its voxels.
-    let strangers = |label: Label| {
-        let is_stranger = |v: &&u32| topology.elements_around(&[**v]).iter().all(|e| labels[*e as usize] != label);
-        group.iter().filter(is_stranger).count()
-    };
+    let strangers = |label: Label| group.iter().filter(|v| !topology.has_label(**v, label, labels)).count();
     let score = |label: Label| group.iter().map(|v| topology.excess_of(*v, label, labels)).sum::<i64>();
     // The background last: a leak is closed rather than opened.
     let allowed = candidates.into_iter().filter(|l| !joins_too_much(*l));
     let changes = |label: Label| topology.euler_changes_by_filling(group, label, labels);
-    let off = |label: Label| euler.as_ref().map_or(0, |e| e.distance_after(&changes(label)));
-    let chosen = allowed.max_by_key(|l| {
+    let off = |label: Label| euler.map_or(0, |e| e.distance_after(&changes(label)));
+    allowed.max_by_key(|l| {
         let is_tissue = !l.is_background();
         (Reverse(off(*l)), Reverse(strangers(*l)), is_tissue, score(*l), Reverse(*l))
-    });
-    if let (Some(euler), Some(label)) = (euler, chosen) {
-        euler.add(&changes(label));
-    }
-    chosen
+    })
 }
 
 /// Cuts every element with vertices in groups.
@@ -265,6 +277,45 @@ mod tests {
         let chain: Vec<u32> = (1..6).map(|i| number(i, 1, 1)).collect();
         assert_eq!(chosen(&chain), Some(Label(2)));
         assert_eq!(chosen(&chain[..1]), Some(Label(1)), "where all labels are near, the first");
+    }
+
+    #[test]
+    fn a_label_is_not_carried_far_from_itself_while_other_rounds_are_left() {
+        use crate::lattice::test_images::{voxel_image, with_lattice};
+        let image = voxel_image(16, |p| if p.x < 9.0 { 1 } else { 2 });
+        let carved = |extent: Extent| {
+            with_lattice(&image, 2.0, |mut lattice, context| {
+                let mut elements = lattice.elements(context).unwrap();
+                let vertices = lattice.vertices.positions.len();
+                let neighbors = neighbors_of(&elements.tets, vertices).unwrap();
+                let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
+                // A line of vertices through both labels; nothing pinches there, which carving does not ask for.
+                let place = |v: u32| lattice.frame.local(lattice.vertices.positions[v as usize]);
+                let inner: Vec<u32> =
+                    (0..vertices as u32).filter(|v| (place(*v).x - 8.0).abs() < 6.0 && !topology.is_open(*v)).collect();
+                let off_axis = |v: &u32| (place(*v) - 8.0).y.hypot((place(*v) - 8.0).z);
+                let axis = inner.iter().copied().min_by(|a, b| off_axis(a).total_cmp(&off_axis(b))).unwrap();
+                let is_beside = |v: &&u32| {
+                    let [p, q] = [**v, axis].map(|v| lattice.vertices.positions[v as usize]);
+                    (p.y, p.z) == (q.y, q.z)
+                };
+                let line: Vec<u32> = inner.iter().filter(is_beside).copied().collect();
+                let regions = Regions {
+                    of_element: elements.labels.iter().map(|l| u32::from(l.0)).collect(),
+                    surplus: vec![0; 3],
+                };
+                let has = |label: u16| {
+                    line.iter().filter(|v| topology.has_label(**v, Label(label), &elements.labels)).count()
+                };
+                let near = has(1).max(has(2));
+                let treated = carve(&mut lattice, &mut elements, &neighbors, &line, &regions, &[], extent);
+                (treated, near, line.len())
+            })
+        };
+        let (treated, near, all) = carved(Extent::NearLabel);
+        assert!(near < all && near > 0, "{near} of {all}");
+        assert_eq!(treated, near, "the label that is at more of the line fills what it is at");
+        assert_eq!(carved(Extent::Whole).0, all);
     }
 
     #[test]

@@ -43,8 +43,9 @@ const MOST_COUNTED: usize = u128::BITS as usize;
 
 /// A change of labels that was found to help.
 struct Change {
-    /// How far Euler numbers are out of their ranges afterwards, change of the excess, elements: what counts, in this order.
-    cost: (i64, i64, usize),
+    /// How far Euler numbers are out of their ranges afterwards, change of the excess, voxels lost, elements: what counts, in
+    /// this order.
+    cost: (i64, i64, usize, usize),
     elements: Vec<u32>,
     label: Label,
     /// Changes of the Euler numbers by label.
@@ -108,6 +109,11 @@ impl<'a> InterfaceTopology<'a> {
         around.sort_unstable();
         around.dedup();
         around
+    }
+
+    /// Whether an element at the vertex has the label.
+    pub(super) fn has_label(&self, vertex: u32, label: Label, labels: &[Label]) -> bool {
+        self.ball(vertex).iter().any(|e| labels[*e as usize] == label)
     }
 
     /// Whether the elements around a vertex, whatever their labels, form a ball or a half ball: they hang together through
@@ -250,13 +256,13 @@ impl<'a> InterfaceTopology<'a> {
         groups
     }
 
-    /// Relabels elements until no change lowers the excess; returns how many elements changed. `may_take` tells whether
-    /// elements may take a label, given those of all; `euler` are the Euler numbers that are to be kept, if any are.
+    /// Relabels elements until no change lowers the excess; returns how many elements changed. `voxels_lost` tells how
+    /// many voxels of their own elements lose that take a label, given those of all, or that they may not take it; `euler` are the Euler numbers that are to be kept, if any are.
     pub fn repair(
         &self,
         labels: &mut [Label],
         mut euler: Option<EulerRanges>,
-        may_take: impl Fn(&[Label], &[u32], Label) -> bool,
+        voxels_lost: impl Fn(&[Label], &[u32], Label) -> Option<usize>,
     ) -> usize {
         let mut queue: VecDeque<u32> = self.pinched(labels).into();
         let mut changed = 0;
@@ -264,7 +270,7 @@ impl<'a> InterfaceTopology<'a> {
             if self.excess(vertex, labels) == 0 {
                 continue;
             }
-            let Some(change) = self.best_change(vertex, labels, euler.as_ref(), &may_take) else { continue };
+            let Some(change) = self.best_change(vertex, labels, euler.as_ref(), &voxels_lost) else { continue };
             let concerned = self.vertices_of(&change.elements);
             changed += change.elements.len();
             change.elements.iter().for_each(|e| labels[*e as usize] = change.label);
@@ -289,7 +295,7 @@ impl<'a> InterfaceTopology<'a> {
         vertex: u32,
         labels: &mut [Label],
         euler: Option<&EulerRanges>,
-        may_take: &impl Fn(&[Label], &[u32], Label) -> bool,
+        voxels_lost: &impl Fn(&[Label], &[u32], Label) -> Option<usize>,
     ) -> Option<Change> {
         let around = self.labels_around(vertex, labels);
         let mut candidates: Vec<Vec<u32>> = Vec::new();
@@ -311,8 +317,13 @@ impl<'a> InterfaceTopology<'a> {
                     continue;
                 }
                 let changes = euler.map(|_| self.euler_changes(&elements, *label, labels)).unwrap_or_default();
-                let cost = (euler.map_or(0, |e| e.distance_after(&changes)), gain, elements.len());
-                if best.as_ref().is_none_or(|b| cost < b.cost) && may_take(labels, &elements, *label) {
+                let off = euler.map_or(0, |e| e.distance_after(&changes));
+                if best.as_ref().is_some_and(|b| (off, gain) > (b.cost.0, b.cost.1)) {
+                    continue;
+                }
+                let Some(lost) = voxels_lost(labels, &elements, *label) else { continue };
+                let cost = (off, gain, lost, elements.len());
+                if best.as_ref().is_none_or(|b| cost < b.cost) {
                     best = Some(Change { cost, elements: elements.clone(), label: *label, euler: changes });
                 }
             }

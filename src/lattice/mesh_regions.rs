@@ -6,6 +6,8 @@
 //! # Invariants
 //! Regions are in the order of their first element.
 
+use rayon::prelude::*;
+
 use crate::image::connected_components::{Components, Connectivity, Members};
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
@@ -22,6 +24,35 @@ pub fn joinable_regions(elements: &Elements, regions: &[(Label, Vec<u32>)], surp
         region.iter().for_each(|e| of_element[*e as usize] = r as u32);
     }
     Regions { of_element, surplus }
+}
+
+/// Numbers elements by the image's components (`components`, through faces, edges and vertices) instead of by regions of the
+/// mesh: whether pieces that touch at an edge or a vertex only are one is left open by the image, so they may be joined.
+///
+/// A region goes by the first of its elements that holds the centre of a voxel of its own; one without keeps a number of its
+/// own.
+pub fn number_by_image(
+    regions: &mut Regions,
+    members: &[(Label, Vec<u32>)],
+    lattice: &RedGreenLattice,
+    elements: &Elements,
+    components: &Components,
+) {
+    let component_of = |element: u32, own: Label| {
+        let mut component = None;
+        for_each_voxel(lattice, &elements.tets[element as usize], |voxel, label| {
+            if label == own && component.is_none() {
+                component = components.component_at(voxel.x as usize, voxel.y as usize, voxel.z as usize);
+            }
+        });
+        component
+    };
+    let count = components.components().len() as u32;
+    let number_of = |(r, (own, region)): (usize, &(Label, Vec<u32>))| {
+        region.iter().find_map(|e| component_of(*e, *own)).unwrap_or(count + r as u32)
+    };
+    let numbers: Vec<u32> = members.par_iter().enumerate().map(number_of).collect();
+    regions.of_element.par_iter_mut().filter(|r| **r != u32::MAX).for_each(|r| *r = numbers[*r as usize]);
 }
 
 /// Components of each label in the image through faces: what its mesh may have at most.

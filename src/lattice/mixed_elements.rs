@@ -22,20 +22,21 @@
 //!
 //! # Invariants
 //! Triangles between labels stay what they are: a cube is of one label and pyramids keep the outer triangles of the
-//! tets they replace. The mesh conforms.
+//! tets they replace. The mesh conforms, and elements cut into tets from the mean of their corners do not overlap.
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use crate::error::Result;
+use crate::geometry::predicates::orient3d;
 use crate::index::{Label, VertexId};
 use crate::lattice::candidate_mesh::{CandidateMesh, MergeableCube};
 use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::scaffold::Scaffold;
 use crate::mesh::mixed_mesh::ElementKind;
-use crate::mesh::numbering::HEX_FACES;
+use crate::mesh::numbering::{HEX_FACES, PYRAMID_BASE, PYRAMID_TRIANGLES};
 use crate::mesh::quality::{pyramid_corner_jacobian, scaled_jacobian};
 use crate::parallel::ordered_concat::ordered_concat;
 
@@ -287,8 +288,8 @@ pub struct MergedElements {
 }
 
 /// The elements that come of merging the cubes whose tets are all still there, where no hexahedron and no pyramid gets a
-/// scaled Jacobian below `min_scaled_jacobian`, of a pyramid also at the corners of its base, and no pyramid more than
-/// `max_surface_triangles`.
+/// scaled Jacobian below `min_scaled_jacobian`, of a pyramid also at the corners of its base, no pyramid has more than
+/// `max_surface_triangles`, and each sees all its faces from its middle.
 pub fn merged_elements(mesh: &CandidateMesh, max_surface_triangles: usize, min_scaled_jacobian: f64) -> MergedElements {
     let cubes = &mesh.cubes;
     let mut cube_of = vec![u32::MAX; mesh.points.len()];
@@ -327,7 +328,11 @@ fn give_up_bad_cubes(
         let mut corners = [DVec3::ZERO; 8];
         corners.iter_mut().zip(nodes).for_each(|(corner, v)| *corner = points[v.index()]);
         let worst = scaled_jacobian(kind, &corners[..nodes.len()]);
-        if kind == ElementKind::Pyramid { worst.min(pyramid_corner_jacobian(&corners)) } else { worst }
+        match kind {
+            _ if !sees_its_faces(kind, &corners[..nodes.len()]) => f64::NEG_INFINITY,
+            ElementKind::Pyramid => worst.min(pyramid_corner_jacobian(&corners)),
+            _ => worst,
+        }
     };
     loop {
         let spoils = |c: &usize| {
@@ -342,6 +347,20 @@ fn give_up_bad_cubes(
             break;
         }
         spoiled.into_iter().for_each(|c| is_merged[c] = false);
+    }
+}
+
+/// Whether the mean of an element's corners lies strictly inside of all its faces, whichever diagonal cuts a quadrilateral: then
+/// the tets from there to the faces fill the element without folding.
+///
+/// The base of a pyramid may be warped by about a fifth of the pyramid's height.
+fn sees_its_faces(kind: ElementKind, corners: &[DVec3]) -> bool {
+    let center = corners.iter().sum::<DVec3>() / corners.len() as f64;
+    let is_outward = |[a, b, c]: [usize; 3]| orient3d(corners[a], corners[c], corners[b], center) > 0.0;
+    let cuts = |[a, b, c, d]: [usize; 4]| [[a, b, c], [a, c, d], [a, b, d], [b, c, d]].into_iter().all(is_outward);
+    match kind {
+        ElementKind::Pyramid => cuts(PYRAMID_BASE) && PYRAMID_TRIANGLES.into_iter().all(is_outward),
+        _ => HEX_FACES.into_iter().all(cuts),
     }
 }
 
@@ -416,4 +435,30 @@ fn drop_unused_points(mesh: &mut CandidateMesh) {
     mesh.pyramids.iter_mut().flatten().for_each(number);
     mesh.hexahedra.iter_mut().flatten().for_each(number);
     mesh.fixed.iter_mut().for_each(number);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pyramid_with_a_base_as_warped_as_its_middle_is_high_is_none() {
+        let with_warp = |warp: f64| {
+            let up = DVec3::Z * warp;
+            [DVec3::ZERO + up, DVec3::X - up, DVec3::new(1.0, 1.0, 0.0) + up, DVec3::Y - up, DVec3::new(0.5, 0.5, 0.5)]
+        };
+        // The middle is .1 above the base; the planes of the base's triangles pass .1 above it in its middle.
+        for warp in [0.099, -0.099] {
+            assert!(sees_its_faces(ElementKind::Pyramid, &with_warp(warp)));
+        }
+        for warp in [0.101, -0.101] {
+            assert!(!sees_its_faces(ElementKind::Pyramid, &with_warp(warp)));
+            assert!(pyramid_corner_jacobian(&with_warp(warp)) > 0.2);
+        }
+        let cube = CUBE.map(|c| c.as_dvec3());
+        assert!(sees_its_faces(ElementKind::Hexahedron, &cube));
+        let mut folded = cube;
+        folded[0] = DVec3::splat(0.5);
+        assert!(!sees_its_faces(ElementKind::Hexahedron, &folded));
+    }
 }

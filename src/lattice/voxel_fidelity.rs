@@ -146,6 +146,13 @@ pub fn for_each_voxel(lattice: &RedGreenLattice, tet: &[u32; 4], visit: impl FnM
     for_each_foreign_voxel(lattice, tet, Label(u16::MAX), visit);
 }
 
+/// Voxels of a label in the tet.
+pub fn voxels_of(lattice: &RedGreenLattice, tet: &[u32; 4], own: Label) -> usize {
+    let mut count = 0;
+    for_each_voxel(lattice, tet, |_, label| count += usize::from(label == own));
+    count
+}
+
 /// Calls `visit` for every voxel whose centre lies in the tet and whose label is not `label`.
 pub fn for_each_foreign_voxel(
     lattice: &RedGreenLattice,
