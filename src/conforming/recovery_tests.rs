@@ -108,12 +108,14 @@ fn turned_plates_of_strips_are_recovered() {
 
 #[test]
 fn chazelles_polyhedron_is_recovered() {
-    for (count, gap) in [(2, 0.1), (4, 0.1), (4, 0.01)] {
+    for (count, gap) in [(2, 0.1), (4, 0.1), (4, 0.01), (5, 0.1)] {
         let surface = chazelle(count, gap);
         let added = recovered(&surface);
-        assert!(added <= 4 * (count * count) as usize, "{count} notches, gap {gap}: {added}");
+        // Fewer than the places where an edge passes another.
+        let places = (count * count) as usize;
+        assert!(added < places, "{count} notches, gap {gap}: {added}");
         let added = recovered(&mapped(&surface, turned));
-        assert!(added <= 4 * (count * count) as usize, "{count} notches, gap {gap}, turned: {added}");
+        assert!(added < places, "{count} notches, gap {gap}, turned: {added}");
     }
 }
 
