@@ -1,15 +1,17 @@
-//! Edges of a surface that cut off what bends between their ends are split there.
+//! Edges and faces of a surface that cut off what bends between their vertices are split there.
 //!
 //! # Method
-//! 1. For each face between two labels, the middles of its edges are compared with the sub-voxel surface of these labels.
-//!    Edges whose middle is off by more than a tolerance are listed, the farthest off first.
+//! 1. For each face between two labels, its middle and those of its edges are compared with the sub-voxel surface of these
+//!    labels. Edges whose middle is off by more than a tolerance are listed, and faces whose middle is farther off than those
+//!    of their edges, the farthest off first.
 //! 2. Each is split; the new vertex goes from the middle towards the surface as far as the scores around it allow
-//!    ([`insert_in_edge`]). Later rounds of the improvement bring it the rest of the way.
+//!    ([`insert_between`]). Later rounds of the improvement bring it the rest of the way. The surface is met
+//!    across the face: a flat end of a vessel has its middle on the axis, where all of the wall is equally near.
 //! ```text
-//!        ___                    _m_
-//!      /     \                 / | \       a thin vessel, and a chord through it
-//!     a-------b       ->      a--|--b
-//!      \_____/                 \_|_/
+//!        ___                    _m_                           ________               ________
+//!      /     \                 / | \       a thin vessel,               \            f       \
+//!     a-------b       ->      a--|--b     a chord through it,        f   |    ->   |\__     m
+//!      \_____/                 \_|_/       and its flat end     ____|__/            f___\__/
 //! ```
 //!
 //! # Source
@@ -19,70 +21,140 @@
 //! The mesh conforms. No score falls below the bound that was not below before.
 //!
 //! # Cost
-//! One distance per surface edge, in parallel; the splits are few.
+//! One distance per surface edge and face, in parallel; the splits are few.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::index::Label;
 use crate::lattice::element_score::Threshold;
-use crate::lattice::improvement_mesh::ImprovementMesh;
-use crate::lattice::local_transformations::{insert_in_edge, sides_of_edge};
+use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace};
+use crate::lattice::local_transformations::{insert_between, sides_of_edge};
+use crate::lattice::subvoxel_surface::Side;
 
-/// Parts of the way from the middle of the edge to the surface that are tried.
+/// Parts of the way from the middle to the surface that are tried.
 const WAY: [f64; 5] = [1.0, 0.8, 0.6, 0.4, 0.2];
 
 /// How far from the middle of an edge its surface is looked for, in lengths of the edge.
 const REACH: f64 = 0.75;
 
-/// Splits surface edges whose middle is off by more than `tolerance` (mm); `bound` is the score that may be spent, degrees. The
-/// stars of the mesh are up to date. Returns how many were split.
+/// Steps across a face in which its surface is looked for, each a quarter of the smallest spacing: two voxels, the radius of a
+/// vessel whose end is flat.
+const STEPS_ACROSS: usize = 8;
+const STEP_ACROSS: f64 = 0.25;
+
+/// What is split, by its vertices.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Chord {
+    /// Its ends.
+    Edge([u32; 2]),
+    /// In outward order, and the labels of both sides.
+    Face([u32; 3], [Label; 2]),
+}
+
+/// Splits surface edges and faces whose middle is off by more than `tolerance` (mm); `bound` is the score that may be spent,
+/// degrees. The stars of the mesh are up to date. Returns how many were split.
 pub fn split_chords(mesh: &mut ImprovementMesh, tolerance: f64, bound: f64) -> usize {
     let far = chords(mesh, tolerance);
-    far.into_iter().filter(|(_, [a, b])| split_chord(mesh, *a, *b, bound)).count()
+    far.into_iter().filter(|(_, chord)| insert_in_chord(mesh, *chord, bound).is_some()).count()
 }
 
-/// How far off and ends of the edges to be split, the farthest first.
-fn chords(mesh: &ImprovementMesh, tolerance: f64) -> Vec<(f64, [u32; 2])> {
-    let label = |t: u32| mesh.labels[t as usize];
+/// How far off and vertices of what is to be split, the farthest first.
+pub fn chords(mesh: &ImprovementMesh, tolerance: f64) -> Vec<(f64, Chord)> {
     let of_vertex = |v: u32| {
         let star = mesh.stars().of(v).unwrap_or(&[]);
-        // Each edge at its smaller vertex, in the face that runs along it.
-        star.iter().filter(move |face| face.others[0] > v).filter_map(move |face| {
-            let w = face.others[0];
-            let middle = mesh.points[v as usize].midpoint(mesh.points[w as usize]);
-            let outer = face.outer.map_or(Label::BACKGROUND, label);
-            let (distance, _) = mesh.surface.signed_distance(middle, label(face.inner), outer)?;
-            (distance.abs() > tolerance).then_some((distance.abs(), [v, w]))
-        })
+        star.iter().flat_map(move |face| of_face(mesh, v, face)).flatten().filter(|(off, _)| *off > tolerance)
     };
     let vertices = (0..mesh.points.len() as u32).into_par_iter().with_min_len(1024);
-    let mut far: Vec<(f64, [u32; 2])> = vertices.flat_map_iter(of_vertex).collect();
+    let mut far: Vec<(f64, Chord)> = vertices.flat_map_iter(of_vertex).collect();
     far.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
     let mut seen = rustc_hash::FxHashSet::default();
-    far.retain(|(_, ends)| seen.insert(*ends));
+    far.retain(|(_, chord)| seen.insert(*chord));
     far
 }
-
-fn split_chord(mesh: &mut ImprovementMesh, a: u32, b: u32, bound: f64) -> bool {
-    let shell = mesh.shell(a, b);
-    if shell.is_empty() {
-        return false;
-    }
-    let sides = sides_of_edge(mesh, a, b, &shell);
-    let [from, to] = [a, b].map(|v| mesh.points[v as usize]);
-    let middle = from.midpoint(to);
-    let Some(goal) = mesh.surface.project(middle, &sides, REACH * from.distance(to)) else { return false };
-    let needed = Threshold::of(mesh.lowest(&shell).min(bound));
-    let places = WAY.map(|part| middle + (goal - middle) * part);
-    insert_in_edge(mesh, [a, b], &shell, middle, sides, |mesh, m| place_first(mesh, m, &places, &needed))
+/// The chords that are listed at one vertex of a face: the edge that begins there, at its smaller vertex, and the face, at its
+/// smallest, each with how far off its middle is.
+fn of_face(mesh: &ImprovementMesh, v: u32, face: &SurfaceFace) -> [Option<(f64, Chord)>; 2] {
+    let label = |t: u32| mesh.labels[t as usize];
+    let sides = [label(face.inner), face.outer.map_or(Label::BACKGROUND, label)];
+    let [w, u] = face.others;
+    let at = |v: u32| mesh.points[v as usize];
+    let off = |middle: DVec3| mesh.surface.depth(middle, sides[0], sides[1]).map(f64::abs);
+    let edge = |v: u32, w: u32| off(at(v).midpoint(at(w)));
+    let along = (w > v).then(|| edge(v, w).map(|off| (off, Chord::Edge([v, w])))).flatten();
+    // Where all vertices are on a border plane the face lies in it.
+    let across = (w > v && u > v && !is_in_border(mesh, [v, w, u])).then(|| {
+        let middle = off((at(v) + at(w) + at(u)) / 3.0)?;
+        let is_farthest = || [[v, w], [w, u], [u, v]].iter().all(|[p, q]| edge(*p, *q).is_none_or(|off| off < middle));
+        (middle > 0.0 && is_farthest()).then_some((middle, Chord::Face([v, w, u], sides)))
+    });
+    [along, across.flatten()]
 }
 
-/// Moves a vertex to the first place where its tets reach the threshold.
-fn place_first(mesh: &mut ImprovementMesh, v: u32, places: &[DVec3], needed: &Threshold) -> bool {
+fn is_in_border(mesh: &ImprovementMesh, [a, b, c]: [u32; 3]) -> bool {
+    mesh.sides(a).iter().any(|s| matches!(s, Side::Border(_)) && mesh.sides(b).contains(s) && mesh.sides(c).contains(s))
+}
+
+/// Splits a chord by a vertex that goes towards the surface as far as no score falls below the bound that was not below before.
+/// Returns the vertex, the middle where it began, and where it is to go; `None` where the chord stays as it is.
+pub fn insert_in_chord(mesh: &mut ImprovementMesh, chord: Chord, bound: f64) -> Option<(u32, [DVec3; 2])> {
+    let (tets, sides, ends) = match chord {
+        Chord::Edge([a, b]) => {
+            let shell = mesh.shell(a, b);
+            if shell.is_empty() {
+                return None; // Another split has taken it.
+            }
+            let sides = sides_of_edge(mesh, a, b, &shell);
+            let [from, to] = [a, b].map(|v| mesh.points[v as usize]);
+            let middle = from.midpoint(to);
+            let goal = mesh.surface.project(middle, &sides, REACH * from.distance(to))?;
+            (shell, sides, [middle, goal])
+        }
+        Chord::Face(corners, labels) => {
+            let tets = mesh.tets_at_face(corners);
+            if tets.is_empty() {
+                return None;
+            }
+            let [a, b, c] = corners.map(|v| mesh.points[v as usize]);
+            let middle = (a + b + c) / 3.0;
+            let goal = across(mesh, middle, (b - a).cross(c - a).normalize_or_zero(), labels)?;
+            let mut sides = labels.map(Side::Label).to_vec();
+            sides.sort_unstable();
+            (tets, sides, [middle, goal])
+        }
+    };
+    let needed = Threshold::of(mesh.lowest(&tets).min(bound));
+    let [middle, goal] = ends;
+    let place = |mesh: &mut ImprovementMesh, m| place_first(mesh, m, middle, goal, &needed);
+    let is_in = match &chord {
+        Chord::Edge(ends) => insert_between(mesh, ends, &tets, middle, sides, place),
+        Chord::Face(corners, _) => insert_between(mesh, corners, &tets, middle, sides, place),
+    };
+    is_in.then(|| (mesh.points.len() as u32 - 1, ends))
+}
+
+/// Where the line through the middle of a face along its outward normal meets the surface between the labels of its sides.
+fn across(mesh: &ImprovementMesh, middle: DVec3, normal: DVec3, [inner, outer]: [Label; 2]) -> Option<DVec3> {
+    let depth = |at: DVec3| mesh.surface.depth(at, inner, outer);
+    let mut before = depth(middle)?;
+    // Within the inner label the surface lies beyond the face.
+    let step = normal * before.signum() * STEP_ACROSS * mesh.surface.spacing().min_element();
+    for count in 1..=STEPS_ACROSS {
+        let after = depth(middle + step * count as f64)?;
+        if (after > 0.0) != (before > 0.0) {
+            return Some(middle + step * (count as f64 - after / (after - before)));
+        }
+        before = after;
+    }
+    None
+}
+
+/// Moves a vertex from the middle towards the goal, to the farthest place where its tets reach the threshold.
+pub fn place_first(mesh: &mut ImprovementMesh, v: u32, middle: DVec3, goal: DVec3, needed: &Threshold) -> bool {
     mesh.with_ball(v, |mesh, ball| {
-        let found = places.iter().find(|place| ball.score_above(**place, needed).is_some());
-        found.inspect(|place| mesh.move_vertex(v, **place)).is_some()
+        let mut places = WAY.iter().map(|part| middle.lerp(goal, *part));
+        let found = places.find(|place| ball.score_above(*place, needed).is_some());
+        found.inspect(|place| mesh.move_vertex(v, *place)).is_some()
     })
 }
 

@@ -315,6 +315,12 @@ impl<'a> ImprovementMesh<'a> {
         self.ball(a).iter().copied().filter(|t| self.tets[*t as usize].contains(&b)).collect()
     }
 
+    /// Tets at a face: two, or one.
+    pub fn tets_at_face(&self, [a, b, c]: [u32; 3]) -> Vec<u32> {
+        let has_both = |t: &u32| self.tets[*t as usize].contains(&b) && self.tets[*t as usize].contains(&c);
+        self.ball(a).iter().copied().filter(has_both).collect()
+    }
+
     /// Brings the stars of surface vertices up to date.
     pub fn refresh_stars(&mut self) {
         let mut stars = std::mem::take(&mut self.stars);

@@ -29,7 +29,7 @@ use rustc_hash::FxHashSet;
 use crate::error::Result;
 use crate::lattice::element_score::{Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
-use crate::lattice::local_transformations::{ENOUGH, contract_edge, insert_in_edge, may_contract, sides_of_edge};
+use crate::lattice::local_transformations::{ENOUGH, contract_edge, insert_between, may_contract, sides_of_edge};
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::vertex_optimization::optimize_vertex;
 use crate::mesh::numbering::TET_EDGES;
@@ -38,7 +38,7 @@ use crate::mesh::numbering::TET_EDGES;
 const RINGS: usize = 2;
 
 /// Score that a perturbation leaves to all tets, degrees: from flat ones the way back is lost in rounding.
-const LEAST_PERTURBED: f64 = 1.0;
+pub const LEAST_PERTURBED: f64 = 1.0;
 
 /// Parts of the way back to the lattice that are tried, the largest first.
 const STEPS_BACK: [f64; 3] = [0.5, 0.25, 0.12];
@@ -79,12 +79,25 @@ enum Perturbation {
 
 /// How low the tets of some vertices are: how many are low, and the lowest score.
 #[derive(Debug, Clone, Copy)]
-struct Outcome {
+pub struct Outcome {
     low: usize,
     lowest: f64,
 }
 
 impl Outcome {
+    /// Of the tets of some vertices; those below `wanted` are low.
+    pub fn of(mesh: &ImprovementMesh, vertices: Vec<u32>, wanted: f64) -> Self {
+        let wanted = Threshold::of(wanted);
+        let mut low = mesh.tets_of(vertices);
+        low.retain(|t| mesh.fails(*t, &wanted));
+        Self { low: low.len(), lowest: mesh.lowest(&low) }
+    }
+
+    /// Not more are low, and the lowest is no lower.
+    pub fn is_no_worse_than(&self, other: &Self) -> bool {
+        self.low <= other.low && self.lowest >= other.lowest
+    }
+
     fn is_better_than(&self, other: &Self) -> bool {
         self.low < other.low && self.lowest >= other.lowest
             || self.low <= other.low && self.lowest > other.lowest + LEAST_RISE
@@ -136,8 +149,8 @@ impl IteratedSearch<'_> {
         t: u32,
         mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
     ) -> Result<bool> {
-        let near = vertices_around(mesh, t);
-        let before = self.outcome(mesh, near.clone());
+        let near = vertices_around(mesh, &mesh.tets[t as usize]);
+        let before = Outcome::of(mesh, near.clone(), self.wanted);
         for perturbation in self.perturbations_of(mesh, t) {
             if self.budget == 0 {
                 return Ok(false);
@@ -148,7 +161,7 @@ impl IteratedSearch<'_> {
                 mend(mesh, &near)?;
                 let mut changed = mesh.touched_since(trial);
                 changed.extend(&near);
-                if self.outcome(mesh, changed.clone()).is_better_than(&before) {
+                if Outcome::of(mesh, changed.clone(), self.wanted).is_better_than(&before) {
                     mesh.keep_trial();
                     self.changed.extend(changed);
                     return Ok(true);
@@ -157,13 +170,6 @@ impl IteratedSearch<'_> {
             mesh.take_back(trial);
         }
         Ok(false)
-    }
-
-    fn outcome(&self, mesh: &ImprovementMesh, vertices: Vec<u32>) -> Outcome {
-        let wanted = Threshold::of(self.wanted);
-        let mut low = mesh.tets_of(vertices);
-        low.retain(|t| mesh.fails(*t, &wanted));
-        Outcome { low: low.len(), lowest: mesh.lowest(&low) }
     }
 
     /// The perturbations of a tet, then those of the tets around it within reach.
@@ -206,9 +212,9 @@ impl IteratedSearch<'_> {
     }
 }
 
-/// The vertices within some rings of the vertices of a tet.
-fn vertices_around(mesh: &ImprovementMesh, t: u32) -> Vec<u32> {
-    let mut vertices = mesh.tets[t as usize].to_vec();
+/// The vertices within some rings of others.
+pub fn vertices_around(mesh: &ImprovementMesh, others: &[u32]) -> Vec<u32> {
+    let mut vertices = others.to_vec();
     for _ in 0..RINGS {
         vertices = mesh.tets_of(vertices).into_iter().flat_map(|t| mesh.tets[t as usize]).collect();
         vertices.sort_unstable();
@@ -253,7 +259,7 @@ fn split(mesh: &mut ImprovementMesh, a: u32, b: u32, slack: f64) -> bool {
         let Some(place) = mesh.surface.project(middle, &sides, 0.5 * from.distance(to)) else { return false };
         middle = place;
     }
-    insert_in_edge(mesh, [a, b], &shell, middle, sides, |mesh, m| {
+    insert_between(mesh, &[a, b], &shell, middle, sides, |mesh, m| {
         optimize_vertex(mesh, m, ENOUGH, slack) > LEAST_PERTURBED
     })
 }

@@ -28,7 +28,7 @@ use glam::DVec3;
 
 use crate::index::Label;
 use crate::lattice::element_score::{Part, Threshold, lowest_score, part_fails, tet_score};
-use crate::lattice::improvement_mesh::{ImprovementMesh, ordered_rest, part_of};
+use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace, ordered_rest, part_of};
 use crate::lattice::scaffold::SCAFFOLD_ANGLE;
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::vertex_optimization::optimize_vertex;
@@ -39,6 +39,10 @@ const LEAST_GAIN: f64 = 0.3;
 
 /// Longest ring of an edge removal.
 const LONGEST_RING: usize = 7;
+
+/// How far off its surface the middle of an edge or face may be after a contraction or turn, in voxels of the smallest spacing:
+/// a little more than where chords are split, or one would undo the other.
+const LARGEST_CUT: f64 = 0.3;
 
 /// Cosine between an old and a new surface normal below which a contraction or turn would fold the surface.
 const SMALLEST_NORMAL_COSINE: f64 = 0.6;
@@ -312,12 +316,37 @@ fn surface_contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32, shell
         return false;
     }
     let at = |v: u32| mesh.points[v as usize];
-    faces.iter().filter(|f| !f.others.contains(&to)).all(|f| {
+    let keeps_direction = |f: &&SurfaceFace| {
         let [p, q] = f.others.map(at);
         let before = (p - at(from)).cross(q - at(from)).normalize_or_zero();
         let after = (p - at(to)).cross(q - at(to)).normalize_or_zero();
         before.dot(after) > SMALLEST_NORMAL_COSINE
-    })
+    };
+    let stay = || faces.iter().filter(|f| !f.others.contains(&to));
+    let label = |t: u32| mesh.labels[t as usize];
+    let with = |v: u32, f: &SurfaceFace| {
+        ([v, f.others[0], f.others[1]], [label(f.inner), f.outer.map_or(Label::BACKGROUND, label)])
+    };
+    stay().all(|f| keeps_direction(&f))
+        && !cuts_off(mesh, faces.iter().map(|f| with(from, f)), stay().map(|f| with(to, f)))
+}
+
+/// Whether the surface would cut off more than it may if the faces after took the place of those before, each with the labels
+/// of its sides; where it already did, more than before.
+fn cuts_off(
+    mesh: &ImprovementMesh,
+    before: impl Iterator<Item = ([u32; 3], [Label; 2])>,
+    after: impl Iterator<Item = ([u32; 3], [Label; 2])>,
+) -> bool {
+    let off = |(corners, sides): ([u32; 3], [Label; 2])| {
+        let [a, b, c] = corners.map(|v| mesh.points[v as usize]);
+        let middles = [a.midpoint(b), b.midpoint(c), c.midpoint(a), (a + b + c) / 3.0];
+        let depth = |middle| mesh.surface.depth(middle, sides[0], sides[1]).map_or(0.0, f64::abs);
+        middles.map(depth).into_iter().fold(0.0, f64::max)
+    };
+    let limit = LARGEST_CUT * mesh.surface.spacing().min_element();
+    let worst = after.map(off).fold(0.0, f64::max);
+    worst > limit && worst > before.map(off).fold(0.0, f64::max)
 }
 
 /// Whether a vertex is in the middle of a line where surfaces meet, `to` is next to it, and the line bends little there.
@@ -385,7 +414,7 @@ fn split_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, slack: f64) -> bool {
         let Some(place) = mesh.surface.project(middle, &sides, 0.5 * length) else { return false };
         middle = place;
     }
-    insert_in_edge(mesh, [a, b], &shell, middle, sides, |mesh, m| optimize_vertex(mesh, m, ENOUGH, slack) > needed)
+    insert_between(mesh, &[a, b], &shell, middle, sides, |mesh, m| optimize_vertex(mesh, m, ENOUGH, slack) > needed)
 }
 
 /// Dihedral angle of a tet at the edge opposite to a b, degrees.
@@ -397,24 +426,22 @@ fn opposite_angle(mesh: &ImprovementMesh, t: u32, a: u32, b: u32) -> f64 {
     p.angle_between(q).to_degrees()
 }
 
-/// Splits an edge, whose tets are `shell`, by a new vertex of the given sides; keeps it where `is_good` says so.
-pub fn insert_in_edge(
+/// Splits an edge or a face, whose tets are `tets`, by a new vertex of the given sides; keeps it where `is_good` says so.
+pub fn insert_between(
     mesh: &mut ImprovementMesh,
-    [a, b]: [u32; 2],
-    shell: &[u32],
+    corners: &[u32],
+    tets: &[u32],
     place: DVec3,
     sides: Vec<Side>,
     is_good: impl FnOnce(&mut ImprovementMesh, u32) -> bool,
 ) -> bool {
-    let old = mesh.rows(shell);
     let trial = mesh.begin_trial();
     let m = mesh.add_vertex(place, sides);
-    let mut new = Vec::with_capacity(2 * old.len());
-    for (tet, label) in &old {
-        new.push((tet.map(|v| if v == a { m } else { v }), *label));
-        new.push((tet.map(|v| if v == b { m } else { v }), *label));
+    let mut new = Vec::with_capacity(corners.len() * tets.len());
+    for (tet, label) in mesh.rows(tets) {
+        new.extend(corners.iter().map(|corner| (tet.map(|v| if v == *corner { m } else { v }), label)));
     }
-    mesh.replace(shell, &new);
+    mesh.replace(tets, &new);
     if is_good(mesh, m) {
         mesh.keep_trial();
         return true;
@@ -470,6 +497,14 @@ fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool
         [Some(first), Some(second)] if mesh.labels[first as usize] == mesh.labels[second as usize] => {
             let other = mesh.labels[first as usize];
             if shell.iter().any(|n| *n != t && mesh.labels[*n as usize] != other) {
+                return false;
+            }
+            let sides = [label, other];
+            if cuts_off(
+                mesh,
+                [([a, b, c], sides), ([a, b, d], sides)].into_iter(),
+                [([c, d, a], sides), ([c, d, b], sides)].into_iter(),
+            ) {
                 return false;
             }
             let score = lowest_shape(mesh, &[t]);

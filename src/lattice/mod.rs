@@ -58,6 +58,7 @@ pub mod smooth_distance;
 pub mod smoothing;
 pub mod subdivision_criteria;
 pub mod subvoxel_surface;
+pub mod surface_approach;
 pub mod surface_crossings;
 pub mod surface_deformation;
 pub mod surface_stars;

@@ -204,6 +204,21 @@ impl<'a> SubvoxelSurface<'a> {
         self.blurred_distance(point, a, b)
     }
 
+    /// As the distance of [`signed_distance`](Self::signed_distance), also in the middle of a thin part, where no direction leads to
+    /// the surface: half the difference of both labels' distances there.
+    pub fn depth(&self, point: DVec3, a: Label, b: Label) -> Option<f64> {
+        if let Some((distance, _)) = self.smooth_difference(point, a, b) {
+            return Some(distance.clamp(-LONGEST_DISTANCE, LONGEST_DISTANCE) + self.offset(a, b));
+        }
+        let value = |label| self.smooth.sample(label, point / self.spacing, self.size, self.spacing);
+        match (value(a), value(b)) {
+            (Some((of_a, _)), Some((of_b, _))) => Some((of_a - of_b) / 2.0 + self.offset(a, b)),
+            (Some((of_a, _)), None) if !self.smooth.has(b) => Some(of_a + self.offset(a, b)),
+            (None, Some((of_b, _))) if !self.smooth.has(a) => Some(self.offset(a, b) - of_b),
+            _ => self.blurred_distance(point, a, b).map(|(distance, _)| distance),
+        }
+    }
+
     /// The distance from the smooth distances of both labels, and the unit normal. A label that is thin or has an edge here
     /// (another label meets the two) has a distance that is rounded off, of a short gradient: it weighs little.
     fn smooth_difference(&self, point: DVec3, a: Label, b: Label) -> Option<(f64, DVec3)> {

@@ -1,0 +1,178 @@
+//! Places where the mesh is far off its surface are brought nearer, also where something stands before them.
+//!
+//! # Method
+//! A vertex goes to its surface step by step, each as far as the scores around it allow, so something may stand before it: at the
+//! tip of a vessel the vertices of the wall beyond it. Places that are off by more than a tolerance are gone through, the
+//! farthest first: surface vertices, and edges and faces of the surface by their middles
+//! ([`chord_splits`](crate::lattice::chord_splits)).
+//! 1. An edge or face gets a new vertex in its middle.
+//! 2. The vertex goes towards the surface, as long as no tet becomes flat, whatever that costs; the tets around are made better
+//!    by the means of the improvement. This is repeated a few times: what stood before it has moved.
+//! 3. When no more tets are low then, the lowest is no lower and the vertex is nearer by half, it stays; else everything is
+//!    taken back.
+//!
+//! # Source
+//! [LourencoMartinStutzle2003], with the distance for the objective.
+//!
+//! # Invariants
+//! Never more tets are low than before, and the lowest is no lower.
+//!
+//! # Cost
+//! One distance per surface vertex, edge and face, in parallel; a budget of places for the mesh, each touches a few rings of
+//! tets.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::error::Result;
+use crate::lattice::change_log::Mark;
+use crate::lattice::chord_splits::{Chord, chords, insert_in_chord, place_first};
+use crate::lattice::element_score::Threshold;
+use crate::lattice::improvement_mesh::ImprovementMesh;
+use crate::lattice::iterated_search::{LEAST_PERTURBED, Outcome, vertices_around};
+
+/// Times that a vertex goes on after its tets were made better.
+const ADVANCES: usize = 3;
+
+/// Share of the distance that may be left.
+const LEFT: f64 = 0.5;
+
+/// How far the surface of a vertex is looked for, in largest spacings.
+const REACH: f64 = 2.0;
+
+/// What is off.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Place {
+    Vertex(u32),
+    Between(Chord),
+}
+
+/// Brings the places nearer that are off by more than the first and less than the second of `range` (mm), `budget` of them at most;
+/// tets below `wanted` (degrees) are low, `mend` makes the tets of some vertices better. Returns how many became nearer.
+///
+/// # Errors
+/// Those of `mend`.
+pub fn approach_surface(
+    mesh: &mut ImprovementMesh,
+    range: [f64; 2],
+    wanted: f64,
+    budget: usize,
+    mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
+) -> Result<usize> {
+    let mut nearer = 0;
+    mesh.refresh_stars();
+    let mut far = far_places(mesh, range[0]);
+    far.retain(|(off, _)| *off < range[1]);
+    for (_, place) in far.into_iter().take(budget) {
+        let trial = mesh.begin_trial();
+        if bring_nearer(mesh, place, range[0], wanted, trial, mend)? {
+            mesh.keep_trial();
+            nearer += 1;
+        } else {
+            mesh.take_back(trial);
+        }
+    }
+    Ok(nearer)
+}
+
+/// How far off and what, the farthest first.
+fn far_places(mesh: &ImprovementMesh, tolerance: f64) -> Vec<(f64, Place)> {
+    let of_vertex = |v: u32| {
+        let is_candidate = mesh.is_on_surface(v) && !mesh.fixed[v as usize] && !mesh.ball(v).is_empty();
+        let off = is_candidate.then(|| surface_of(mesh, v))?.map(|goal| goal.distance(mesh.points[v as usize]))?;
+        (off > tolerance).then_some((off, Place::Vertex(v)))
+    };
+    let vertices = (0..mesh.points.len() as u32).into_par_iter().with_min_len(1024);
+    let mut far: Vec<(f64, Place)> = vertices.filter_map(of_vertex).collect();
+    far.extend(chords(mesh, tolerance).into_iter().map(|(off, chord)| (off, Place::Between(chord))));
+    far.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
+    far
+}
+
+/// The place of a vertex on its surface.
+fn surface_of(mesh: &ImprovementMesh, v: u32) -> Option<DVec3> {
+    mesh.surface.project(mesh.points[v as usize], mesh.sides(v), REACH * mesh.surface.spacing().max_element())
+}
+
+/// Whether a place is nearer now and no tet worse for it; what was changed since `trial` stays to be kept or taken back.
+fn bring_nearer(
+    mesh: &mut ImprovementMesh,
+    place: Place,
+    tolerance: f64,
+    wanted: f64,
+    trial: Mark,
+    mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
+) -> Result<bool> {
+    let corners = match &place {
+        Place::Vertex(v) => std::slice::from_ref(v),
+        Place::Between(Chord::Edge(ends)) => ends.as_slice(),
+        Place::Between(Chord::Face(corners, _)) => corners.as_slice(),
+    };
+    let mut near = vertices_around(mesh, corners);
+    let before = Outcome::of(mesh, near.clone(), wanted);
+    let found = match place {
+        Place::Vertex(v) if mesh.ball(v).is_empty() => None,
+        Place::Vertex(v) => surface_of(mesh, v).map(|goal| (v, [mesh.points[v as usize], goal])),
+        Place::Between(chord) => insert_in_chord(mesh, chord, LEAST_PERTURBED),
+    };
+    let Some((v, [start, goal])) = found else { return Ok(false) };
+    let off = goal.distance(start);
+    // Others may have brought it nearer.
+    if off <= tolerance {
+        return Ok(false);
+    }
+    near.push(v);
+    let needed = Threshold::of(LEAST_PERTURBED);
+    for _ in 0..ADVANCES {
+        let from = mesh.points[v as usize];
+        place_first(mesh, v, from, goal, &needed);
+        mend(mesh, &near)?;
+        if mesh.ball(v).is_empty() || goal.distance(mesh.points[v as usize]) < LEFT * tolerance {
+            break;
+        }
+    }
+    if mesh.ball(v).is_empty() || goal.distance(mesh.points[v as usize]) > LEFT * off {
+        return Ok(false);
+    }
+    near.extend(mesh.touched_since(trial));
+    Ok(Outcome::of(mesh, near, wanted).is_no_worse_than(&before))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::context::RunContext;
+    use crate::lattice::options::{Options, PARAMETERS};
+    use crate::lattice::test_images::voxel_image;
+    use crate::mesh::validation::check_mixed_mesh;
+    use crate::parameters::ParameterSet;
+
+    #[test]
+    fn vessels_in_their_walls_end_where_their_voxels_do() {
+        // Lumens of 1.5 voxels radius in walls of 1.4 voxels, eight directions in one image.
+        let along = |i: i32| DVec3::from([4, 2, 1].map(|bit| if i & bit == 0 { 1.0 } else { -0.6 })).normalize();
+        let center = |i: i32| DVec3::from([4, 2, 1].map(|bit| if i & bit == 0 { 12.3 } else { 37.4 }));
+        let rod = |p: DVec3, i: i32| {
+            let q = p - center(i);
+            (q - along(i) * q.dot(along(i)).clamp(-6.0, 6.0)).length()
+        };
+        let nearest = |p: DVec3| (0..8).map(|i| rod(p, i)).fold(f64::INFINITY, f64::min);
+        let image = voxel_image(50, |p| {
+            let r = nearest(p);
+            if r < 1.5 { 1 } else { 2 * u16::from(r < 2.9) }
+        });
+        let options = Options::from_parameters(&ParameterSet::new(PARAMETERS)).unwrap();
+        let (output, report) = crate::lattice::run(&image, &options, &RunContext::with_threads(1).unwrap()).unwrap();
+        check_mixed_mesh(&output.mesh).unwrap();
+        // The vertices of the lumens that are nearest to their sixteen ends.
+        let mut inside: Vec<DVec3> = Vec::new();
+        for (tet, label) in output.mesh.connectivity.chunks_exact(4).zip(&output.mesh.labels) {
+            inside.extend(tet.iter().filter(|_| *label == 1).map(|v| output.mesh.points[v.index()]));
+        }
+        let ends = (0..8).flat_map(|i| [-7.5, 7.5].map(|t| center(i) + along(i) * t));
+        let off = |end: DVec3| inside.iter().map(|p| p.distance(end)).fold(f64::INFINITY, f64::min);
+        let farthest = ends.map(off).fold(0.0, f64::max);
+        assert!(report.statistics().value("improvement.approached").unwrap() > 0.0);
+        assert!(farthest < 1.0, "{farthest}");
+    }
+}
