@@ -38,7 +38,7 @@ use crate::lattice::progress_shares;
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::lattice::untangling::{GuardedMove, GuardedTets, move_guarded};
 use crate::sparse::block_csr::BlockCsr;
-use crate::sparse::conjugate_gradient::{StoppingRule, conjugate_gradient};
+use crate::sparse::conjugate_gradient::{StoppingRule, conjugate_gradient_from};
 use crate::sparse::pattern::Incidence;
 use crate::sparse::preconditioner::BlockJacobi;
 
@@ -182,16 +182,26 @@ fn displacements_of(
     let mut confidence: Vec<f64> = wanted.iter().map(|w| f64::from(u8::from(w.is_some()))).collect();
     let mut displacements = vec![DVec3::ZERO; mesh.points.len()];
     let mut right = vec![DVec3::ZERO; mesh.points.len()];
+    let mut residual = Vec::new();
     for attempt in 0..=input.options.max_confidence_iterations {
         for (at, vertex) in input.sources.vertices.iter().enumerate() {
-            let pull = input.options.flexibility * confidence[at];
-            springs.set(at, vertex.index(), pull, &body.diagonals[at]);
-            right[vertex.index()] = wanted[at].unwrap_or(DVec3::ZERO) * pull;
+            let (row, pull) = (vertex.index(), input.options.flexibility * confidence[at]);
+            let weaker = springs.pulls[at] - pull;
+            springs.set(at, row, pull, &body.diagonals[at]);
+            let force = if body.held[row] { DVec3::ZERO } else { wanted[at].unwrap_or(DVec3::ZERO) * pull };
+            if attempt > 0 {
+                // Only the springs change: a product with the whole matrix costs as much as an iteration.
+                residual[row] += force - right[row] + weaker * displacements[row];
+            }
+            right[row] = force;
         }
-        mesh.fixed.iter().for_each(|v| right[v.index()] = DVec3::ZERO);
+        if attempt == 0 {
+            residual = right.clone();
+        }
         let rule = StoppingRule { relative_tolerance: RELATIVE_TOLERANCE, max_iterations: MAX_SOLVER_ITERATIONS };
         let Springs { matrix, preconditioner, .. } = springs;
-        let solve = conjugate_gradient(matrix, &right, &mut displacements, preconditioner, &rule, context)?;
+        let unknowns = [displacements.as_mut_slice(), residual.as_mut_slice()];
+        let solve = conjugate_gradient_from(matrix, &right, unknowns, preconditioner, &rule, context)?;
         summary.solver_iterations += solve.iterations;
         if attempt == input.options.max_confidence_iterations
             || !scale_confidence(mesh, input, body, &displacements, &mut confidence)

@@ -100,6 +100,22 @@ pub fn conjugate_gradient(
     rule: &StoppingRule,
     context: &RunContext,
 ) -> Result<SolveReport> {
+    let mut residual = residual_of(matrix, right, solution);
+    conjugate_gradient_from(matrix, right, [solution, &mut residual], preconditioner, rule, context)
+}
+
+/// As [`conjugate_gradient`], where the residual of the start is known; it is that of the solution afterwards, up to rounding.
+///
+/// # Errors
+/// As [`conjugate_gradient`].
+pub fn conjugate_gradient_from(
+    matrix: &BlockCsr,
+    right: &[DVec3],
+    [solution, residual]: [&mut [DVec3]; 2],
+    preconditioner: &dyn Preconditioner,
+    rule: &StoppingRule,
+    context: &RunContext,
+) -> Result<SolveReport> {
     let right_norm = ordered_norm(right);
     let report = |outcome, iterations, norm: f64| SolveReport {
         outcome,
@@ -111,21 +127,21 @@ pub fn conjugate_gradient(
     }
     if right_norm == 0.0 {
         solution.fill(DVec3::ZERO);
+        residual.fill(DVec3::ZERO);
         return Ok(report(Outcome::Converged, 0, 0.0));
     }
-    let mut residual = residual_of(matrix, right, solution);
     let mut scaled = vec![DVec3::ZERO; right.len()];
     let mut direction = vec![DVec3::ZERO; right.len()];
     let mut product = vec![DVec3::ZERO; right.len()];
-    let mut norm = ordered_norm(&residual);
+    let mut norm = ordered_norm(residual);
     let mut rho_before = 0.0;
     for iteration in 0..rule.max_iterations {
         context.check()?;
         if norm <= rule.relative_tolerance * right_norm {
             return Ok(report(Outcome::Converged, iteration, norm));
         }
-        preconditioner.apply(&residual, &mut scaled);
-        let rho = ordered_dot(&residual, &scaled);
+        preconditioner.apply(residual, &mut scaled);
+        let rho = ordered_dot(residual, &scaled);
         if !(rho > 0.0 && rho.is_finite()) {
             return Ok(report(Outcome::Breakdown("the preconditioner is not positive definite"), iteration, norm));
         }
@@ -138,8 +154,8 @@ pub fn conjugate_gradient(
         }
         let alpha = rho / curvature;
         add_scaled(solution, alpha, &direction);
-        add_scaled(&mut residual, -alpha, &product);
-        norm = ordered_norm(&residual);
+        add_scaled(residual, -alpha, &product);
+        norm = ordered_norm(residual);
         rho_before = rho;
     }
     let converged = norm <= rule.relative_tolerance * right_norm;

@@ -139,6 +139,7 @@ pub fn solve(
 mod tests {
     use super::*;
     use crate::index::VertexId;
+    use crate::sparse::conjugate_gradient::{conjugate_gradient_from, residual_of};
     use crate::sparse::pattern::{Incidence, Pattern};
     use glam::DMat3;
 
@@ -186,6 +187,29 @@ mod tests {
             let error = solution.iter().zip(&exact).map(|(s, e)| (*s - *e).length()).fold(0.0, f64::max);
             assert!(error < 1e-6, "{kind:?}: {error}");
         }
+    }
+
+    #[test]
+    fn a_solve_goes_on_from_its_residual_after_springs_change() {
+        let mut matrix = spring_chain(300, 0.05);
+        let mut right: Vec<DVec3> = (0..300).map(|i| DVec3::new(f64::from(i).cos(), 1.0, 0.3)).collect();
+        let context = RunContext::with_threads(1).unwrap();
+        let rule = StoppingRule { relative_tolerance: 1e-2, max_iterations: 5000 };
+        let (mut solution, mut residual) = (vec![DVec3::ZERO; 300], right.clone());
+        let go_on = |matrix: &BlockCsr, right: &[DVec3], residual: &mut [DVec3], solution: &mut [DVec3]| {
+            let unknowns = [solution, residual];
+            conjugate_gradient_from(matrix, right, unknowns, &BlockJacobi::new(matrix), &rule, &context).unwrap()
+        };
+        assert!(go_on(&matrix, &right, &mut residual, &mut solution).iterations > 0);
+        for row in (0..300).step_by(3) {
+            matrix.add(row, row, DMat3::from_diagonal(DVec3::splat(0.4)));
+            right[row] += DVec3::X;
+            residual[row] += DVec3::X - 0.4 * solution[row];
+        }
+        assert!(go_on(&matrix, &right, &mut residual, &mut solution).is_converged());
+        let exact = residual_of(&matrix, &right, &solution);
+        let error = exact.iter().zip(&residual).map(|(e, r)| e.distance(*r)).fold(0.0, f64::max);
+        assert!(error < 1e-12, "{error}");
     }
 
     #[test]
