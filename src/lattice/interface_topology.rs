@@ -41,6 +41,19 @@ pub struct InterfaceTopology<'a> {
 /// Most elements of a ball whose groups are counted in one word of marks.
 const MOST_COUNTED: usize = u128::BITS as usize;
 
+/// For each element of a ball the three behind its faces at the vertex, by their places in the ball.
+type Links = [[u8; 3]; MOST_COUNTED];
+
+/// The vertices around one whose labels change, with what does not change with every trial.
+struct Vicinity {
+    /// Vertices, increasing.
+    vertices: Vec<u32>,
+    /// Links of each that has them.
+    links: Vec<Option<Links>>,
+    /// Excess of each before a trial.
+    excess: Vec<i64>,
+}
+
 /// A change of labels that was found to help.
 struct Change {
     /// How far Euler numbers are out of their ranges afterwards, change of the excess, voxels lost, elements: what counts, in
@@ -139,15 +152,28 @@ impl<'a> InterfaceTopology<'a> {
     }
 
     fn excess(&self, vertex: u32, labels: &[Label]) -> i64 {
+        self.excess_with(vertex, labels, None)
+    }
+
+    /// The excess of a vertex, whose links may be known.
+    fn excess_with(&self, vertex: u32, labels: &[Label], known: Option<&Links>) -> i64 {
         let ball = self.ball(vertex);
         let first = ball.first().map(|e| labels[*e as usize]);
         if ball.iter().all(|e| Some(labels[*e as usize]) == first) {
             return if self.is_open(vertex) { self.excess_of_all(vertex, labels) } else { 0 };
         }
-        if self.is_open(vertex) || ball.len() > MOST_COUNTED {
+        if !self.has_links(vertex) {
             return self.excess_of_all(vertex, labels);
         }
-        self.excess_by_marks(vertex, labels)
+        match known {
+            Some(links) => self.excess_by_marks(vertex, labels, links),
+            None => self.excess_by_marks(vertex, labels, &self.links(vertex)),
+        }
+    }
+
+    /// Whether a vertex is closed and has few enough elements for sets of them to be words.
+    fn has_links(&self, vertex: u32) -> bool {
+        !self.is_open(vertex) && self.ball(vertex).len() <= MOST_COUNTED
     }
 
     fn excess_of_all(&self, vertex: u32, labels: &[Label]) -> i64 {
@@ -159,29 +185,39 @@ impl<'a> InterfaceTopology<'a> {
     }
 
     /// The excess of a closed vertex of two labels or more and at most [`MOST_COUNTED`] elements: sets of elements are words.
-    fn excess_by_marks(&self, vertex: u32, labels: &[Label]) -> i64 {
+    fn excess_by_marks(&self, vertex: u32, labels: &[Label], links: &Links) -> i64 {
         let ball = self.ball(vertex);
+        let mut around = [Label::BACKGROUND; MOST_COUNTED];
+        around.iter_mut().zip(ball).for_each(|(label, element)| *label = labels[*element as usize]);
         let all = u128::MAX >> (MOST_COUNTED - ball.len());
-        let links = self.links(vertex);
         let (mut rest, mut excess) = (all, 0);
+        // What is left beside the label before, with the excess of that: the same for both where there are but two.
+        let mut other = (0, 0);
         while rest != 0 {
-            let label = labels[ball[rest.trailing_zeros() as usize] as usize];
-            let is_of = |at: &usize| labels[ball[*at] as usize] == label;
-            let own = (0..ball.len()).filter(is_of).fold(0u128, |marks, at| marks | 1 << at);
+            let label = around[rest.trailing_zeros() as usize];
+            let marks = around[..ball.len()].iter().enumerate();
+            let own = marks.fold(0u128, |marks, (at, of)| marks | u128::from(*of == label) << at);
             rest &= !own;
             if !label.is_background() {
-                excess += (group_count(own, &links) + group_count(all & !own, &links)) as i64 - 2;
+                if own != other.0 {
+                    let groups = group_count(own, links) + group_count(all & !own, links);
+                    other = (all & !own, groups as i64 - 2);
+                }
+                excess += other.1;
             }
         }
         excess
     }
 
     /// For each element of the ball of a closed vertex the three behind its faces at the vertex, by their places in the ball.
-    fn links(&self, vertex: u32) -> [[u8; 3]; MOST_COUNTED] {
+    fn links(&self, vertex: u32) -> Links {
         let ball = self.ball(vertex);
         let mut links = [[0; 3]; MOST_COUNTED];
         for (row, element) in links.iter_mut().zip(ball) {
-            for (link, (_, near)) in row.iter_mut().zip(self.faces_at(*element, vertex)) {
+            // Face f is opposite to corner f.
+            let corners = self.tets[*element as usize].iter();
+            let at_vertex = corners.zip(self.neighbors[*element as usize]).filter(|(corner, _)| **corner != vertex);
+            for (link, (_, near)) in row.iter_mut().zip(at_vertex) {
                 // Balls are listed by increasing element.
                 *link = ball.binary_search(&near).expect("a closed ball holds what is behind its inner faces") as u8;
             }
@@ -306,13 +342,14 @@ impl<'a> InterfaceTopology<'a> {
             }
         }
         candidates.extend(self.ball(vertex).iter().map(|e| vec![*e]));
+        let vicinity = self.vicinity(vertex, labels);
         let mut best: Option<Change> = None;
         for elements in candidates {
             for label in &around {
                 if elements.iter().any(|e| labels[*e as usize] == *label) {
                     continue;
                 }
-                let gain = self.gain(&elements, *label, labels);
+                let gain = self.gain_within(&vicinity, &elements, *label, labels);
                 if gain >= 0 {
                     continue;
                 }
@@ -329,6 +366,27 @@ impl<'a> InterfaceTopology<'a> {
             }
         }
         best
+    }
+
+    fn vicinity(&self, vertex: u32, labels: &[Label]) -> Vicinity {
+        let vertices = self.vertices_of(self.ball(vertex));
+        let links: Vec<Option<Links>> = vertices.iter().map(|v| self.has_links(*v).then(|| self.links(*v))).collect();
+        let excess =
+            vertices.iter().zip(&links).map(|(v, known)| self.excess_with(*v, labels, known.as_ref())).collect();
+        Vicinity { vertices, links, excess }
+    }
+
+    /// As [`gain`](Self::gain), for elements around the vertex of a vicinity.
+    fn gain_within(&self, vicinity: &Vicinity, elements: &[u32], label: Label, labels: &mut [Label]) -> i64 {
+        let old: Vec<Label> = elements.iter().map(|e| labels[*e as usize]).collect();
+        elements.iter().for_each(|e| labels[*e as usize] = label);
+        let change = |v: u32| {
+            let at = vicinity.vertices.partition_point(|other| *other < v);
+            self.excess_with(v, labels, vicinity.links[at].as_ref()) - vicinity.excess[at]
+        };
+        let gain = self.vertices_of(elements).into_iter().map(change).sum();
+        elements.iter().zip(old).for_each(|(e, l)| labels[*e as usize] = l);
+        gain
     }
 
     /// Change of the sum of excesses when `elements` take `label`.
@@ -385,5 +443,37 @@ mod tests {
         }
         // Two opposite corners apart, for one.
         assert!(pinched > 0 && topology.excess(0, &[1, 0, 0, 0, 0, 0, 0, 1].map(Label)) == 1);
+    }
+    #[test]
+    fn trials_around_a_vertex_gain_what_they_gain_anywhere() {
+        // Three layers of 4 x 4 cubes of six tets each.
+        let number = |at: [usize; 3]| (at[0] + 5 * (at[1] + 5 * at[2])) as u32;
+        let mut tets: Vec<[u32; 4]> = Vec::new();
+        for n in 0..48 {
+            for order in [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]] {
+                let mut at = [n % 4, n / 4 % 4, n / 16];
+                let mut tet = [number(at); 4];
+                for (corner, axis) in order.into_iter().enumerate() {
+                    at[axis] += 1;
+                    tet[corner + 1] = number(at);
+                }
+                tets.push(tet);
+            }
+        }
+        let neighbors = neighbors_of(&tets, 100).unwrap();
+        let topology = InterfaceTopology::new(&tets, &neighbors, 100);
+        let mut labels: Vec<Label> = (0..tets.len()).map(|e| Label((e * e % 7 % 3) as u16)).collect();
+        let mut gains = [0; 2];
+        for vertex in [number([2, 2, 1]), number([1, 2, 2]), number([0, 0, 0])] {
+            let vicinity = topology.vicinity(vertex, &labels);
+            for pair in topology.ball(vertex).windows(2) {
+                for label in [0, 1, 2].map(Label) {
+                    let gain = topology.gain(pair, label, &mut labels);
+                    assert_eq!(topology.gain_within(&vicinity, pair, label, &mut labels), gain);
+                    gains[usize::from(gain > 0)] += i64::from(gain != 0);
+                }
+            }
+        }
+        assert!(gains.iter().all(|count| *count > 3), "{gains:?}");
     }
 }
