@@ -48,6 +48,7 @@ pub mod mixed_elements;
 mod option_effects_tests;
 pub mod options;
 pub mod progress_shares;
+pub mod projected_gradient;
 pub mod red_green;
 pub mod red_green_tables;
 pub mod region_gaps;

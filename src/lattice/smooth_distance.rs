@@ -5,8 +5,8 @@
 //! 1. Bounds: the distance to the surface, positive inside, has the sign of its voxel, is at most the distance to the
 //!    nearest voxel centre of the other side, and at least a voxel diagonal less than that.
 //! 2. The sum of the squared second differences (thin-plate energy, mm) is made small within the bounds by accelerated
-//!    projected gradient steps: these take out the long waves of the staircase. Differences with a voxel outside of the
-//!    layers are left out, so that planes cost nothing.
+//!    projected gradient steps ([`projected_gradient`](crate::lattice::projected_gradient)): these take out the long waves of
+//!    the staircase. Differences with a voxel outside of the layers are left out, so that planes cost nothing.
 //! 3. The same with the squared differences of the second differences between neighbours: quadrics cost nothing now, so
 //!    that thin rods, balls and walls are not thinned, which bending would do.
 //! 4. The values become coefficients of a quadratic B-spline, stored by blocks of 4 x 4 x 4 voxels, evaluated anywhere.
@@ -19,8 +19,7 @@
 //!
 //! # Source
 //! [Lempitsky2010] for the first energy and the bounds by sign, [MoretonSequin1992] for the variation of curvature;
-//! [BeckTeboulle2009] and [ODonoghueCandes2015] for the steps and
-//! their restarts; [BluThevenazUnser2001] for quasi-interpolation by splines.
+//! [BluThevenazUnser2001] for quasi-interpolation by splines.
 //!
 //! # Differences
 //! Bounds from distances on both sides instead of a sign alone; a second energy; a fixed effort: the last per mille of the
@@ -30,7 +29,7 @@
 //! Every voxel keeps its side up to the order of the spline. The same bits for any number of threads.
 //!
 //! # Cost
-//! About 140 bytes per voxel in the layers of the labels in work, 6 bytes per voxel kept; 80 passes. Parallel by
+//! About 150 bytes per voxel in the layers of the labels in work, 6 bytes per voxel kept; 80 passes. Parallel by
 //! labels and by chunks of voxels.
 //!
 //! # Limits
@@ -44,15 +43,13 @@ use crate::error::Result;
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
 use crate::lattice::bcc_lattice::floor_of;
+use crate::lattice::projected_gradient::{Bricks, Descent, Energy, Unknown};
 
 /// Projected gradient steps that lessen the bending, then its variation. On vessels of 1.5 to 3 voxels radius the surface is
 /// off by 0.134 voxel in the mean with 80 and 0, by 0.102 with 50 and 30; on a ball of 20 voxels by 0.045 and 0.049, and by 0.059
 /// with 0 and 80, which leaves waves of more than eight voxels.
 const BENDING_STEPS: usize = 50;
 const VARIATION_STEPS: usize = 30;
-
-/// A step that moves no voxel by more than this part of the smallest spacing is the last.
-const LAST_STEP: f32 = 5e-4;
 
 /// Least distance to the surface, of the distance to the other side: how far the surface stays from the voxel centres. Larger
 /// ones follow the staircase: 0.1, 0.12, 0.15 leave 0.593, 0.588, 0.582 voxel from a brain's staircase at 95 % of it, and mean errors
@@ -67,23 +64,6 @@ const NONE: u32 = u32::MAX;
 
 /// Voxels of a block along an axis.
 const BLOCK: usize = 4;
-
-/// Steps to the twelve neighbours of a voxel that second differences meet: plus and minus each axis, then the two diagonals of
-/// each plane, xy, xz, yz.
-const NEIGHBORS: [[i32; 3]; 12] = [
-    [1, 0, 0],
-    [-1, 0, 0],
-    [0, 1, 0],
-    [0, -1, 0],
-    [0, 0, 1],
-    [0, 0, -1],
-    [1, 1, 0],
-    [-1, -1, 0],
-    [1, 0, 1],
-    [-1, 0, -1],
-    [0, 1, 1],
-    [0, -1, -1],
-];
 
 /// Smooth distances of all labels of an image; where there is but one, the background has none of its own.
 #[derive(Debug, Clone, Default)]
@@ -231,20 +211,9 @@ struct LabelBand<'a> {
     /// The box of voxels that holds the band: first voxel, size.
     low: [usize; 3],
     size: [usize; 3],
-    /// Number of each voxel of the box, or `NONE`.
-    numbers: Vec<u32>,
-    /// Voxel of each number, in order.
+    /// The voxels of the band, in order.
     voxels: Vec<[u32; 3]>,
-}
-
-/// One unknown: value and bounds, mm.
-#[derive(Debug, Clone, Copy, Default)]
-struct Unknown {
-    value: f32,
-    low: f32,
-    high: f32,
-    /// Which of the six second differences exist (bits 0 to 5).
-    terms: u8,
+    bricks: Bricks,
 }
 
 impl<'a> LabelBand<'a> {
@@ -262,7 +231,6 @@ impl<'a> LabelBand<'a> {
         let low: [usize; 3] = low.map(|l| l.saturating_sub(1));
         let size: [usize; 3] =
             std::array::from_fn(|d| (high[d] + usize::from(!layer.is_empty())).min(grid[d]) - low[d]);
-        let mut band = Self { image, label, low, size, numbers: Vec::new(), voxels: Vec::new() };
         let mut is_near = vec![false; size[0] * size[1] * size[2]];
         for voxel in layer {
             let at: [usize; 3] = std::array::from_fn(|d| place(*voxel)[d] - low[d]);
@@ -274,26 +242,13 @@ impl<'a> LabelBand<'a> {
                 }
             }
         }
-        band.numbers = vec![NONE; is_near.len()];
-        for (voxel, _) in is_near.into_iter().enumerate().filter(|(_, is_near)| *is_near) {
-            band.numbers[voxel] = band.voxels.len() as u32;
+        let bricks = Bricks::new(&is_near, size);
+        let place_in_image = |(voxel, _): (usize, bool)| {
             let at = [voxel % size[0], voxel / size[0] % size[1], voxel / size[0] / size[1]];
-            band.voxels.push(std::array::from_fn(|d| (at[d] + low[d]) as u32));
-        }
-        band
-    }
-
-    /// Number of the voxel a step away from a voxel of the band; `NONE` outside of the band.
-    fn number(&self, voxel: [u32; 3], step: [i32; 3]) -> u32 {
-        let mut at = [0usize; 3];
-        for d in 0..3 {
-            let place = i64::from(voxel[d]) + i64::from(step[d]) - self.low[d] as i64;
-            if place < 0 || place >= self.size[d] as i64 {
-                return NONE;
-            }
-            at[d] = place as usize;
-        }
-        self.numbers[at[0] + self.size[0] * (at[1] + self.size[1] * at[2])]
+            std::array::from_fn(|d| (at[d] + low[d]) as u32)
+        };
+        let voxels = is_near.into_iter().enumerate().filter(|(_, is_near)| *is_near).map(place_in_image).collect();
+        Self { image, label, low, size, voxels, bricks }
     }
 
     /// The voxel a step away, within the image.
@@ -305,13 +260,6 @@ impl<'a> LabelBand<'a> {
     fn is_inside(&self, voxel: [u32; 3]) -> bool {
         let [i, j, k] = voxel.map(|v| v as usize);
         self.image.at(i, j, k) == self.label
-    }
-
-    /// Place in the box of a voxel that is at least so far inside of it.
-    fn deep_in_box(&self, voxel: [u32; 3], depth: usize) -> Option<usize> {
-        let at: [usize; 3] = std::array::from_fn(|d| voxel[d] as usize - self.low[d]);
-        let is_deep = (0..3).all(|d| at[d] >= depth && at[d] + depth < self.size[d]);
-        is_deep.then(|| at[0] + self.size[0] * (at[1] + self.size[1] * at[2]))
     }
 
     /// Distance to the nearest voxel of the other side within two voxels, mm.
@@ -334,7 +282,7 @@ impl<'a> LabelBand<'a> {
         steps.iter().find(|(step, _)| is_other(step)).or(steps.last()).map_or(0.0, |(_, length)| *length)
     }
 
-    fn unknowns(&self, neighbors: &[[u32; 12]]) -> Vec<Unknown> {
+    fn unknowns(&self) -> Vec<Unknown> {
         let spacing = self.image.grid().spacing();
         let lengths: Vec<([i32; 3], f64)> = {
             let length = |s: [i32; 3]| (DVec3::from_array(s.map(f64::from)) * spacing).length();
@@ -352,11 +300,10 @@ impl<'a> LabelBand<'a> {
             let low = (distance - diagonal).max(margin);
             let start = (distance - 0.5 * mean).max(0.3 * distance).clamp(low, distance);
             let [low, high, value] = [low, distance, start].map(|x| x as f32);
-            let terms = terms_of(&neighbors[n], count as u32);
             if self.is_inside(voxel) {
-                Unknown { value, low, high, terms }
+                Unknown { value, low, high }
             } else {
-                Unknown { value: -value, low: -high, high: -low, terms }
+                Unknown { value: -value, low: -high, high: -low }
             }
         };
         (0..count).into_par_iter().with_min_len(CHUNK).map(of_voxel).collect()
@@ -364,41 +311,28 @@ impl<'a> LabelBand<'a> {
 
     /// Minimises the energy and returns the spline.
     fn solve(&self, context: &RunContext) -> Result<LabelDistance> {
-        let count = self.voxels.len();
-        let strides = NEIGHBORS.map(|step| stride(step, self.size));
-        let row = |n: usize| {
-            let at = self.deep_in_box(self.voxels[n], 1);
-            std::array::from_fn(|step| {
-                let number = match at {
-                    Some(at) => self.numbers[at.wrapping_add_signed(strides[step])],
-                    None => self.number(self.voxels[n], NEIGHBORS[step]),
-                };
-                if number == NONE { count as u32 } else { number }
-            })
-        };
-        let neighbors: Vec<[u32; 12]> = (0..count).into_par_iter().with_min_len(CHUNK).map(row).collect();
-        let mut unknowns = self.unknowns(&neighbors);
-        let mut descent = Descent::new(&mut unknowns, &neighbors, self.image.grid().spacing());
+        let mut descent = Descent::new(&self.bricks, &self.unknowns(), self.image.grid().spacing());
         descent.run(Energy::Bending, BENDING_STEPS, context)?;
         descent.run(Energy::Variation, VARIATION_STEPS, context)?;
-        Ok(self.spline(&unknowns, &neighbors))
+        Ok(self.spline(&descent.into_values()))
     }
 
     /// Coefficients whose spline takes the values of the unknowns, up to fourth differences.
-    fn spline(&self, unknowns: &[Unknown], neighbors: &[[u32; 12]]) -> LabelDistance {
+    fn spline(&self, values: &[f32]) -> LabelDistance {
         let first = self.low.map(|l| l / BLOCK);
         let count: [usize; 3] = std::array::from_fn(|d| (self.low[d] + self.size[d]).div_ceil(BLOCK) - first[d]);
         let mut spline = LabelDistance { first, count, table: vec![NONE; count.iter().product()], blocks: Vec::new() };
-        for (n, unknown) in unknowns.iter().enumerate() {
-            let mut coefficient = unknown.value;
-            for axis in 0..3 {
-                let beside = [2 * axis, 2 * axis + 1].map(|d| unknowns.get(neighbors[n][d] as usize));
-                if let [Some(next), Some(before)] = beside {
+        for (voxel, slot) in self.voxels.iter().zip(self.bricks.slots()) {
+            let value = values[*slot as usize];
+            let mut coefficient = value;
+            // No voxel of the band has the value 0, all others have.
+            for [next, before] in self.bricks.neighbors(*slot).map(|beside| beside.map(|slot| values[slot])) {
+                if next != 0.0 && before != 0.0 {
                     // The quadratic B-spline weighs its nodes 1/8, 6/8, 1/8.
-                    coefficient -= (next.value - 2.0 * unknown.value + before.value) / 8.0;
+                    coefficient -= (next - 2.0 * value + before) / 8.0;
                 }
             }
-            let at = self.voxels[n].map(|v| v as usize);
+            let at = voxel.map(|v| v as usize);
             let [i, j, k]: [usize; 3] = std::array::from_fn(|d| at[d] / BLOCK - first[d]);
             let slot = &mut spline.table[i + count[0] * (j + count[1] * k)];
             if *slot == NONE {
@@ -429,179 +363,6 @@ fn steps_within(reach: i32) -> Vec<[i32; 3]> {
     }
     steps.retain(|s| *s != [0; 3]);
     steps
-}
-
-/// Which second differences have all their voxels; `count` stands for none.
-fn terms_of(neighbors: &[u32; 12], count: u32) -> u8 {
-    let has = |d: usize| neighbors[d] != count;
-    let pairs = [(0, 1), (2, 3), (4, 5)].map(|(next, before)| has(next) && has(before));
-    let squares = [(0, 2, 6), (0, 4, 8), (2, 4, 10)].map(|(a, b, both)| has(a) && has(b) && has(both));
-    pairs.into_iter().chain(squares).enumerate().map(|(bit, term)| u8::from(term) << bit).sum()
-}
-
-/// Six second differences of a voxel, xx, yy, zz, xy, xz, yz, and two zeros: the width of a vector register.
-type Differences = [f32; 8];
-
-/// Weights of the six second differences, divided by the steepest curvature of the energy.
-fn bending_weights(spacing: DVec3) -> Differences {
-    let inverse = (spacing * spacing).recip();
-    let steepest = (4.0 * inverse.element_sum()).powi(2);
-    let [x, y, z] = inverse.to_array();
-    let weights = [x * x, y * y, z * z, 2.0 * x * y, 2.0 * x * z, 2.0 * y * z].map(|w| (w / steepest) as f32);
-    std::array::from_fn(|term| weights.get(term).copied().unwrap_or(0.0))
-}
-
-/// Rows of factors by the bits of `Unknown::terms`: those of `weights` where the term exists.
-fn by_terms(weights: Differences) -> [Differences; 64] {
-    std::array::from_fn(|terms| std::array::from_fn(|bit| if terms >> bit & 1 != 0 { weights[bit] } else { 0.0 }))
-}
-
-/// What is lessened.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Energy {
-    /// The squares of the second differences.
-    Bending,
-    /// The squares of their differences between neighbours.
-    Variation,
-}
-
-/// The unknowns of a band on their way to less energy.
-struct Descent<'a> {
-    unknowns: &'a mut [Unknown],
-    neighbors: &'a [[u32; 12]],
-    /// Which terms exist; one more, without any, for the neighbour that is not there, as in all that follow.
-    terms: Vec<u8>,
-    /// Values that the momentum leads to.
-    ahead: Vec<f32>,
-    bending: Vec<Differences>,
-    variation: Vec<Differences>,
-    /// Weights of second differences by terms.
-    weights: [Differences; 64],
-    /// Weights of differences between neighbours along each axis, divided by their steepest curvature, by common terms.
-    rates: [[Differences; 64]; 3],
-    /// A step that moves no voxel by more is the last, mm.
-    last: f32,
-}
-
-impl<'a> Descent<'a> {
-    fn new(unknowns: &'a mut [Unknown], neighbors: &'a [[u32; 12]], spacing: DVec3) -> Self {
-        let inverse = (spacing * spacing).recip();
-        Self {
-            terms: unknowns.iter().map(|u| u.terms).chain([0]).collect(),
-            ahead: vec![0.0; unknowns.len() + 1],
-            bending: vec![[0.0; 8]; unknowns.len() + 1],
-            variation: vec![[0.0; 8]; unknowns.len() + 1],
-            weights: by_terms(bending_weights(spacing)),
-            rates: (inverse / (4.0 * inverse.element_sum())).to_array().map(|rate| by_terms([rate as f32; 8])),
-            last: LAST_STEP * spacing.min_element() as f32,
-            unknowns,
-            neighbors,
-        }
-    }
-
-    /// Accelerated projected gradient steps, from rest.
-    fn run(&mut self, energy: Energy, steps: usize, context: &RunContext) -> Result<()> {
-        self.ahead.iter_mut().zip(self.unknowns.iter()).for_each(|(ahead, u)| *ahead = u.value);
-        let mut momentum = 1.0f64;
-        for _ in 0..steps {
-            context.check()?;
-            self.take_bending();
-            if energy == Energy::Variation {
-                self.take_variation();
-            }
-            let next = (1.0 + (1.0 + 4.0 * momentum * momentum).sqrt()) / 2.0;
-            let (uphill, largest) = self.step(energy, ((momentum - 1.0) / next) as f32);
-            momentum = if uphill > 0.0 { 1.0 } else { next };
-            if largest < self.last {
-                break;
-            }
-        }
-        Ok(())
-    }
-
-    fn take_bending(&mut self) {
-        let count = self.unknowns.len();
-        let (neighbors, terms, ahead, weights) = (self.neighbors, &self.terms, &self.ahead, &self.weights);
-        self.bending[..count].par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, rows)| {
-            for (n, row) in (chunk * CHUNK..).zip(rows) {
-                *row = second_differences(n, &neighbors[n], ahead, &weights[usize::from(terms[n])]);
-            }
-        });
-    }
-
-    /// Slope of the variation by each second difference: what it differs by from those of the six neighbours.
-    fn take_variation(&mut self) {
-        let count = self.unknowns.len();
-        let (neighbors, terms, bending, rates) = (self.neighbors, &self.terms, &self.bending, &self.rates);
-        self.variation[..count].par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, rows)| {
-            for (n, row) in (chunk * CHUNK..).zip(rows) {
-                let own = &bending[n];
-                *row = [0.0; 8];
-                for (direction, other) in neighbors[n][..6].iter().enumerate() {
-                    // Only between voxels that both have the term.
-                    let rate = &rates[direction / 2][usize::from(terms[n] & terms[*other as usize])];
-                    let other = &bending[*other as usize];
-                    (0..8).for_each(|term| row[term] += rate[term] * (own[term] - other[term]));
-                }
-            }
-        });
-    }
-
-    /// One step; returns how far it goes against the momentum and the largest change, mm.
-    fn step(&mut self, energy: Energy, carry: f32) -> (f64, f32) {
-        let count = self.unknowns.len();
-        let neighbors = self.neighbors;
-        let terms = if energy == Energy::Bending { &self.bending } else { &self.variation };
-        let moves: Vec<(f64, f32)> = self
-            .unknowns
-            .par_chunks_mut(CHUNK)
-            .zip(self.ahead[..count].par_chunks_mut(CHUNK))
-            .enumerate()
-            .map(|(chunk, (unknowns, ahead))| {
-                let (mut uphill, mut largest) = (0.0f64, 0.0f32);
-                for ((n, unknown), ahead) in (chunk * CHUNK..).zip(unknowns).zip(ahead) {
-                    let value = (*ahead - slope(n, &neighbors[n], terms)).clamp(unknown.low, unknown.high);
-                    let change = value - unknown.value;
-                    uphill += f64::from((*ahead - value) * change);
-                    largest = largest.max(change.abs());
-                    *ahead = value + carry * change;
-                    unknown.value = value;
-                }
-                (uphill, largest)
-            })
-            .collect();
-        (moves.iter().map(|m| m.0).sum(), moves.iter().map(|m| m.1).fold(0.0, f32::max))
-    }
-}
-
-/// Weighted second differences at a voxel: xx, yy, zz, xy, xz, yz.
-#[inline]
-fn second_differences(n: usize, neighbors: &[u32; 12], values: &[f32], weights: &Differences) -> Differences {
-    let at = |d: usize| values[neighbors[d] as usize];
-    let own = values[n];
-    let [x, y, z] = [at(0), at(2), at(4)];
-    [
-        weights[0] * (x - 2.0 * own + at(1)),
-        weights[1] * (y - 2.0 * own + at(3)),
-        weights[2] * (z - 2.0 * own + at(5)),
-        weights[3] * (own - x - y + at(6)),
-        weights[4] * (own - x - z + at(8)),
-        weights[5] * (own - y - z + at(10)),
-        0.0,
-        0.0,
-    ]
-}
-
-/// Slope of an energy at a voxel, from its slopes by second differences: these transposed.
-#[inline]
-fn slope(n: usize, neighbors: &[u32; 12], terms: &[Differences]) -> f32 {
-    let at = |d: usize| &terms[neighbors[d] as usize];
-    let own = &terms[n];
-    let [x, y, z] = [at(1), at(3), at(5)];
-    at(0)[0] + x[0] + at(2)[1] + y[1] + at(4)[2] + z[2] - 2.0 * (own[0] + own[1] + own[2])
-        + (own[3] - x[3] - y[3] + at(7)[3])
-        + (own[4] - x[4] - z[4] + at(9)[4])
-        + (own[5] - y[5] - z[5] + at(11)[5])
 }
 
 #[cfg(test)]
