@@ -74,7 +74,7 @@ use std::time::Instant;
 
 use crate::conforming::assembly::{Carved, carve, finish};
 use crate::conforming::boundary_recovery::constrained_mesh::ConstrainedMesh;
-use crate::conforming::boundary_recovery::{recover, remove_from_volume, restore_surface};
+use crate::conforming::boundary_recovery::{EdgeOrder, is_locked, recover, remove_from_volume, restore_surface};
 use crate::conforming::boundary_slivers::delete_boundary_slivers;
 use crate::conforming::delaunay_kernel::{DelaunayOptions, PointOrder, TetNumbers, tetrahedralize};
 use crate::conforming::domain_labels::{Region, label_domain};
@@ -170,7 +170,7 @@ fn first_recovered<T>(mut attempt: impl FnMut(usize) -> Result<T>) -> Result<T> 
 /// The mesh of the points and of corners around them, with the surface in it, and the Steiner points in its volume.
 fn recovered_mesh(
     checked: &CheckedSurface,
-    options: &Options,
+    (options, order): (&Options, EdgeOrder),
     context: &RunContext,
     report: &mut Report,
 ) -> Result<(ConstrainedMesh, Vec<VertexId>)> {
@@ -182,9 +182,55 @@ fn recovered_mesh(
     report.delaunay_tets = delaunay.complex.finite_tets().count();
     context.progress("boundary recovery", 0.1);
     let recovery = &mut report.recovery;
-    let mut mesh = recover(delaunay.complex, &checked.facets, options, context, recovery)?;
+    let mut mesh = recover(delaunay.complex, &checked.facets, (options, order), context, recovery)?;
     let volume = restore_surface(&mut mesh, options, context, recovery)?;
     Ok((mesh, volume))
+}
+
+/// The mesh with the surface in it, and the Steiner points that have to stay in its regions, recovered in one order.
+fn mesh_in_order(
+    (surface, checked): (&SurfaceMesh, &CheckedSurface),
+    (options, order): (&Options, EdgeOrder),
+    context: &RunContext,
+    report: &mut Report,
+) -> Result<(ConstrainedMesh, Vec<VertexId>)> {
+    let (mut mesh, volume) = first_recovered(|deeper| {
+        let options = Options { recursion_depth: options.recursion_depth + deeper, ..options.clone() };
+        recovered_mesh(checked, (&options, order), context, report)
+    })?;
+    let hidden = label_domain(&mesh, surface, &checked.facet_patches, options.domain, context)?;
+    let inside = |v: &VertexId| mesh.ball(*v).iter().any(|tet| !hidden.region_of[tet.index()].is_background());
+    let volume: Vec<VertexId> = volume.into_iter().filter(inside).collect();
+    let kept = remove_from_volume(&mut mesh, volume, options, context, &mut report.recovery)?;
+    Ok((mesh, kept))
+}
+
+/// As [`mesh_in_order`], in the order that leaves fewer points where edges lock each other.
+fn mesh_with_fewest_points(
+    input: (&SurfaceMesh, &CheckedSurface),
+    options: &Options,
+    context: &RunContext,
+    report: &mut Report,
+) -> Result<(ConstrainedMesh, Vec<VertexId>)> {
+    let (mesh, kept) = mesh_in_order(input, (options, EdgeOrder::Ascending), context, report)?;
+    if kept.is_empty() || !is_locked(&report.recovery) {
+        return Ok((mesh, kept));
+    }
+    // Findings and progress are those of the first time.
+    let quiet = RunContext::new(context.pool(), context.cancel_token());
+    let mut other = report.clone();
+    match mesh_in_order(input, (options, EdgeOrder::Descending), &quiet, &mut other) {
+        Ok((_, few)) if few.len() >= kept.len() => Ok((mesh, kept)),
+        Err(Error::NoResult { .. }) => Ok((mesh, kept)),
+        Err(error) => Err(error),
+        Ok(better) => {
+            for (seconds, first) in other.recovery.seconds.iter_mut().zip(report.recovery.seconds) {
+                *seconds += first;
+            }
+            *report = other;
+            Ok(better)
+        }
+    }
 }
 
 /// The mesh of the regions, with the surface in it.
@@ -195,14 +241,7 @@ fn domain_mesh(
     context: &RunContext,
     report: &mut Report,
 ) -> Result<MixedMesh> {
-    let (mut mesh, volume) = first_recovered(|deeper| {
-        let recursion_depth = options.recursion_depth + deeper;
-        recovered_mesh(checked, &Options { recursion_depth, ..options.clone() }, context, report)
-    })?;
-    let hidden = label_domain(&mesh, surface, &checked.facet_patches, options.domain, context)?;
-    let inside = |v: &VertexId| mesh.ball(*v).iter().any(|tet| !hidden.region_of[tet.index()].is_background());
-    let volume: Vec<VertexId> = volume.into_iter().filter(inside).collect();
-    let kept = remove_from_volume(&mut mesh, volume, options, context, &mut report.recovery)?;
+    let (mesh, kept) = mesh_with_fewest_points((surface, checked), options, context, report)?;
     // Labels anew: the slots have changed. The findings about regions were reported above.
     let quiet = RunContext::new(context.pool(), context.cancel_token());
     let domain = label_domain(&mesh, surface, &checked.facet_patches, options.domain, &quiet)?;

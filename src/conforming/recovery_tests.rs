@@ -120,6 +120,13 @@ fn chazelles_polyhedron_is_recovered() {
 }
 
 #[test]
+fn edges_that_lock_each_other_are_recovered_in_the_better_order() {
+    // From the first edge to the last 20 points stay, from the last to the first 16.
+    let added = recovered(&mapped(&chazelle(5, 0.02), |p| p * 1e-3));
+    assert!(added <= 17, "{added}");
+}
+
+#[test]
 fn narrow_notches_are_recovered_with_any_effort() {
     // What is recovered by chance fails with other efforts.
     let surface = chazelle(3, 1e-5);

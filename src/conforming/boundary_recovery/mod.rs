@@ -11,6 +11,8 @@
 //!    one resists, its split is taken back as a constraint, the point becomes one of the volume, and 1 to 4 are repeated
 //!    for what is missing now: all that was eliminated meanwhile has changed what stood in the way.
 //! 5. Those in the volume are removed as far as possible (`steiner_removal`), then merged (`steiner_merging`).
+//! 6. Where many edges had to be split, all is done once more with the missing edges in the other order, and what has fewer
+//!    points is kept (`EdgeOrder`).
 //!
 //! # Source
 //! [Drakopoulos2017] 4.6, [GeorgeHechtSaltel1991], [GeorgeBorouchaki2003].
@@ -176,6 +178,25 @@ const MOST_WITHDRAWALS: usize = 8;
 /// Splits of one edge or face beyond which recovery gives up.
 const MOST_ROUNDS: usize = 60;
 
+/// Share of the missing edges that are split, beyond which recovery in the other order is worth its time: where edges wait
+/// for each other in a few places only, both orders leave as many points.
+const LOCKED_SHARE: f64 = 0.02;
+
+/// In which order missing edges are recovered. Where many lock each other what comes first takes the room: one order may
+/// leave half as many points more than the other, and nothing tells in advance which.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum EdgeOrder {
+    /// By vertex numbers.
+    Ascending,
+    /// From the last to the first.
+    Descending,
+}
+
+/// Whether so many edges had to be split that the other order may leave fewer points.
+pub fn is_locked(report: &RecoveryReport) -> bool {
+    report.steiner_on_surface.iter().sum::<usize>() as f64 > LOCKED_SHARE * report.missing_edges as f64
+}
+
 /// Recovers the facets in the mesh of their points.
 ///
 /// # Errors
@@ -183,7 +204,7 @@ const MOST_ROUNDS: usize = 60;
 pub fn recover(
     complex: TetComplex,
     facets: &[[VertexId; 3]],
-    options: &Options,
+    (options, order): (&Options, EdgeOrder),
     context: &RunContext,
     report: &mut RecoveryReport,
 ) -> Result<ConstrainedMesh> {
@@ -192,8 +213,11 @@ pub fn recover(
     let efforts = efforts(options);
     let edge_efforts = edge_efforts(options);
     let start = Instant::now();
-    let missing = mesh.missing_segments();
+    let mut missing = mesh.missing_segments();
     report.missing_edges = missing.len();
+    if order == EdgeOrder::Descending {
+        missing.reverse();
+    }
 
     recover_all_edges(&mut mesh, missing, (&edge_efforts, &efforts), context)?;
     report.steiner_on_surface[0] = mesh.splits.len();
@@ -480,7 +504,8 @@ mod tests {
         let complex = enclosed_mesh(&surface.points);
         context.cancel_token().cancel();
         let mut report = RecoveryReport::default();
-        let recovered = recover(complex, &surface.facets, &Options::default(), &context, &mut report);
+        let recovered =
+            recover(complex, &surface.facets, (&Options::default(), EdgeOrder::Ascending), &context, &mut report);
         assert!(report.missing_edges > 0 && matches!(recovered, Err(Error::Cancelled)));
     }
 
@@ -493,7 +518,8 @@ mod tests {
             let points = points.map(DVec3::from_array);
             let facets = facets.map(|f| f.map(VertexId));
             let (context, mut report) = (RunContext::with_threads(1).unwrap(), RecoveryReport::default());
-            let recovered = recover(enclosed_mesh(&points), &facets, &Options::default(), &context, &mut report);
+            let (options, ascending) = (Options::default(), EdgeOrder::Ascending);
+            let recovered = recover(enclosed_mesh(&points), &facets, (&options, ascending), &context, &mut report);
             let Err(Error::NoResult { findings, .. }) = recovered else { panic!("{:?}", report) };
             assert!(findings.iter().all(|f| f.code == FindingCode::NotRecovered) && !findings.is_empty());
         }
@@ -506,7 +532,8 @@ mod tests {
         let complex = enclosed_mesh(&surface.points);
         let options = Options::default();
         let mut report = RecoveryReport::default();
-        let mut mesh = recover(complex, &surface.facets, &options, &context, &mut report).unwrap();
+        let mut mesh =
+            recover(complex, &surface.facets, (&options, EdgeOrder::Ascending), &context, &mut report).unwrap();
         assert!(mesh.splits.is_empty());
         let constraints = (mesh.subfaces.clone(), mesh.wings.len());
         // Two splits, the second of a part of the first.

@@ -607,6 +607,7 @@ mod tests {
 
     #[test]
     fn a_split_is_undone_once_points_of_the_volume_left_the_plane() {
+        use crate::conforming::boundary_recovery::EdgeOrder;
         use crate::conforming::boundary_recovery::steiner_points::insert_point;
         use crate::conforming::test_meshes::enclosed_mesh;
         use crate::conforming::test_surfaces::cube;
@@ -616,7 +617,8 @@ mod tests {
         let complex = enclosed_mesh(&surface.points);
         let (options, mut report) = Default::default();
         let facets = &surface.facets;
-        let mut mesh = super::super::recover(complex, facets, &options, &context, &mut report).unwrap();
+        let mut mesh =
+            super::super::recover(complex, facets, (&options, EdgeOrder::Ascending), &context, &mut report).unwrap();
         assert!(mesh.splits.is_empty());
         // The diagonal of a facet of the bottom is split, with a point of the volume hardly above it.
         let is_diagonal = |e: &EdgeKey| {

@@ -329,7 +329,7 @@ mod tests {
     use super::*;
     use crate::conforming::boundary_recovery::steiner_points::insert_point;
     use crate::conforming::boundary_recovery::steiner_removal::remove_steiner_points;
-    use crate::conforming::boundary_recovery::{edge_efforts, efforts, recover, restore_surface};
+    use crate::conforming::boundary_recovery::{EdgeOrder, edge_efforts, efforts, recover, restore_surface};
     use crate::conforming::options::Options;
     use crate::conforming::test_meshes::enclosed_mesh;
     use crate::conforming::test_surfaces::{chazelle, twisted_prism};
@@ -343,7 +343,8 @@ mod tests {
             [(5, 15.0, 8), (12, 8.0, 6), (18, 8.0, 4), (24, 8.0, 6)].map(|(n, turn, m)| twisted_prism(n, turn, m));
         for surface in prisms.into_iter().chain([chazelle(3, 0.1)]) {
             let (facets, mut report) = (&surface.facets, Default::default());
-            let mut mesh = recover(enclosed_mesh(&surface.points), facets, &options, &context, &mut report).unwrap();
+            let start = (&options, EdgeOrder::Ascending);
+            let mut mesh = recover(enclosed_mesh(&surface.points), facets, start, &context, &mut report).unwrap();
             let volume = restore_surface(&mut mesh, &options, &context, &mut report).unwrap();
             let volume = remove_steiner_points(&mut mesh, volume, &efforts[2], &context).unwrap();
             let constraints = (mesh.subfaces.clone(), mesh.wings.clone());
