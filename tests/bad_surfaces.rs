@@ -197,7 +197,7 @@ fn surfaces_that_bound_nothing_are_refused() {
     all_end(&changed(&|s| s.points[3][1] = f64::NAN), 3, "not finite", "NaN", &[]);
     all_end(&changed(&|s| s.points[3][1] = f64::INFINITY), 3, "not finite", "infinity", &[]);
     all_end(&changed(&|s| s.points[3][1] = 1e300), 3, "too large", "1e300", &["binary.stl"]);
-    all_end(&changed(&|s| s.points.fill([1.0; 3])), 3, "0 0 0", "equal points", &["a.obj"]);
+    all_end(&changed(&|s| s.points.fill([1.0; 3])), 3, "all points of the surface are equal", "equal points", &[]);
     all_end(&changed(&|s| (0..8).for_each(|i| s.points[i] = [i as f64; 3])), 3, "one line", "collinear points", &[]);
     all_end(&changed(&|s| s.points.iter_mut().for_each(|p| p[2] *= 0.0)), 3, "one plane", "coplanar points", &[]);
 }
@@ -216,6 +216,12 @@ fn indices_and_counts_that_cannot_be_are_refused() {
     // Formats without counts have none that could be wrong.
     let countless = ["ascii.stl", "a.obj"];
     let claimed = |points, triangles| Shape { claimed_points: points, claimed_triangles: triangles, ..cube() };
+    // Rows of numbers do not show where points end; what is wrong is the claim, so that it is named.
+    let less = |kept: &[&str]| -> Vec<&'static str> { FORMATS.into_iter().filter(|f| !kept.contains(f)).collect() };
+    let shown = ["a.off", "a.ply", "a.mesh", "a.poly", "a.smesh", "a.vtp"];
+    all_end(&claimed(Some(9), None), 3, "9 points", "9 points claimed", &less(&shown));
+    all_end(&claimed(Some(7), None), 3, "7 points", "7 points claimed", &less(&["a.off", "a.ply", "a.vtp"]));
+    all_end(&claimed(None, Some(11)), 3, "more", "11 triangles claimed", &less(&["a.off", "a.ply", "a.mesh"]));
     for points in [7, 9, 1 << 31, -3] {
         let without = ["ascii.stl", "a.obj", "binary.stl"];
         all_end(&claimed(Some(points), None), 3, "a.", &format!("{points} points claimed"), &without);

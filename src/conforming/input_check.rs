@@ -135,6 +135,7 @@ pub fn check(surface: &SurfaceMesh, options: &Options, context: &RunContext) -> 
         report: CheckReport::default(),
     };
     check.merge_points();
+    check.check_distinct_points();
     check.collect_facets();
     context.check()?;
     if check.findings.iter().all(|f| f.severity != Severity::Error) && check.facets.is_empty() {
@@ -191,6 +192,15 @@ impl Check<'_> {
         self.merged = merged;
         self.report.points = self.surface.points.len() - self.report.merged_points;
         self.report.facets = self.surface.facets.len();
+    }
+
+    /// Where all points are one, that is the fault, and not each triangle.
+    fn check_distinct_points(&mut self) {
+        let Some(&first) = self.surface.points.first() else { return };
+        if is_usable(first) && self.merged.iter().all(|&id| id == 0) && !self.surface.facets.is_empty() {
+            let text = format!("all points of the surface are equal: {first}");
+            self.error(FindingCode::DegeneratePointSet, [0, -1], Some(first), text);
+        }
     }
 
     fn collect_facets(&mut self) {

@@ -39,8 +39,8 @@ pub fn read(path: &Path) -> Result<FileMesh> {
     let triangles = scan.believable(triangles, "triangles", 8)?;
     let quads = scan.believable(quads, "quadrilaterals", 10)?;
     let mut mesh = FileMesh::new();
-    for _ in 0..points {
-        mesh.points.push(scan.point()?);
+    for number in 0..points {
+        mesh.points.push(scan.point_of(number, points)?);
         // Spacings at the point may follow.
         scan.line();
     }

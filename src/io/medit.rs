@@ -84,8 +84,8 @@ fn read_text(mut scan: TextScan) -> Result<FileMesh> {
             }
             "Vertices" => {
                 let count = scan.count("vertices", 8)?;
-                for _ in 0..count {
-                    mesh.points.push(scan.point()?);
+                for number in 0..count {
+                    mesh.points.push(scan.point_of(number, count)?);
                     scan.integer()?;
                 }
             }
@@ -98,7 +98,7 @@ fn read_text(mut scan: TextScan) -> Result<FileMesh> {
                 None if keyword.starts_with(|c: char| c.is_ascii_alphabetic()) => skip_numbers(&mut scan),
                 None => {
                     let text: String = keyword.chars().take(40).collect();
-                    return Err(scan.refuse(format!("'{text}' where a keyword should be")));
+                    return Err(scan.refuse(format!("'{text}' where a keyword should be: more rows than claimed")));
                 }
             },
         }

@@ -29,8 +29,8 @@ pub fn read(path: &Path) -> Result<FileMesh> {
     let faces = scan.believable(faces, "faces", 4)?;
     let mut mesh = FileMesh::new();
     mesh.points.reserve_exact(points);
-    for _ in 0..points {
-        mesh.points.push(scan.point()?);
+    for number in 0..points {
+        mesh.points.push(scan.point_of(number, points)?);
         if by_line {
             scan.line();
         }
@@ -38,7 +38,8 @@ pub fn read(path: &Path) -> Result<FileMesh> {
     for _ in 0..faces {
         let corners = scan.count("corners", 2)?;
         if corners < 3 {
-            return Err(scan.refuse(format!("a face of {corners} corners")));
+            let text = format!("a face of {corners} corners; {points} points and {faces} faces are claimed");
+            return Err(scan.refuse(text));
         }
         let mut nodes = Vec::with_capacity(corners);
         for _ in 0..corners {

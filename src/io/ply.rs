@@ -127,6 +127,10 @@ pub fn read(path: &Path) -> Result<FileMesh> {
             read_row(&mut body, element, &mut mesh)?;
         }
     }
+    // Behind bytes some programs leave more of them; text that follows is rows that were not counted.
+    if order.is_none() && !body.scan.at_end() {
+        return Err(body.scan.refuse("more follows than the counts say"));
+    }
     Ok(mesh)
 }
 
@@ -141,7 +145,9 @@ fn read_row(body: &mut Body, element: &Element, mesh: &mut FileMesh) -> Result<(
             }
             if element.name == "face" && property.name.starts_with("vert") {
                 if length < 3 {
-                    return Err(body.scan.refuse(format!("a face of {length} corners")));
+                    let points = mesh.points.len();
+                    let text = format!("a face of {length} corners; {points} points are claimed before the faces");
+                    return Err(body.scan.refuse(text));
                 }
                 mesh.push(if length == 3 { cell::TRIANGLE } else { cell::POLYGON }, nodes, 0);
             }

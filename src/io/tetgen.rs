@@ -74,9 +74,10 @@ fn read_points(scan: &mut TextScan, mesh: &mut FileMesh) -> Result<i64> {
             base = number;
         }
         if number != base + i {
-            return Err(scan.refuse(format!("point {number} where {} should be", base + i)));
+            let wanted = base + i;
+            return Err(scan.refuse(format!("point {number} where {wanted} should be; {count} points are claimed")));
         }
-        mesh.points.push(scan.point()?);
+        mesh.points.push(scan.point_of(i as usize, count)?);
         // Attributes and markers may follow.
         scan.line();
     }

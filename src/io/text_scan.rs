@@ -168,6 +168,22 @@ impl TextScan {
         Ok(glam::DVec3::new(self.real()?, self.real()?, self.real()?))
     }
 
+    /// Three reals: point `number`, from 0, of as many as the file claims.
+    ///
+    /// # Errors
+    /// [`Error::Format`] with the line and the claim, which is wrong where something else stands in the point's place.
+    pub fn point_of(&mut self, number: usize, claimed: usize) -> Result<glam::DVec3> {
+        let at = self.at;
+        let Ok(x) = self.real() else {
+            self.at = at;
+            let text: String = self.peek().unwrap_or_else(|| "the end of the file".into()).chars().take(40).collect();
+            return Err(
+                self.refuse(format!("'{text}' where point {number} should begin; {claimed} points are claimed"))
+            );
+        };
+        Ok(glam::DVec3::new(x, self.real()?, self.real()?))
+    }
+
     /// A count of things of at least `letters` bytes each.
     ///
     /// # Errors
