@@ -45,6 +45,7 @@ mod point_location;
 pub mod point_placement;
 pub mod quality_improvement;
 pub mod refinement;
+mod region_annealing;
 mod region_search;
 pub mod report;
 pub mod sliver_removal;

@@ -19,7 +19,7 @@
 //! At the end, tets with faces that finite-volume solvers find skew get all operations under a measure that counts
 //! skewness: needles on a small triangle may lean far while their angles are good. Around what may not stay even then,
 //! iterated local search goes on (`region_search`); at last, for tets off the boundary that are still bad, whatever becomes
-//! of those at it.
+//! of those at it, and where it finds nothing, annealing (`region_annealing`).
 //!
 //! # Source
 //! [Drakopoulos2017] 4.9; B.3 `nqual`, `nqualf`, `angqual`, `angqmsk`, `angqmax`, `mrecqm`, `mrecqmf`, `ordtq`, `mdfs`, `ndfs`,
@@ -67,6 +67,10 @@ use crate::statistics::Statistics;
 const WORST_ROUNDS: usize = 6;
 /// Most rounds over the tets that may not stay, after these.
 const LAST_ROUNDS: usize = 12;
+/// Most rounds over the tets off the boundary between two searches: operations that move a vertex a little go on for long.
+const OFF_ROUNDS: usize = 8;
+/// Most regions annealed: enough for eleven of thirteen of Chazelle's polyhedra.
+const MOST_ANNEALINGS: usize = 16;
 /// Most rounds over the tets with skew faces, at the end.
 const SKEW_ROUNDS: usize = 6;
 /// Angles that the rounds over the worst tets aim at, degrees: beyond what users ask for, so that they get it.
@@ -597,26 +601,46 @@ impl Improver<'_> {
         Ok([0, 1].map(|i| search.counts[i] + more[i]))
     }
 
-    /// All operations and the iterated local search at the tets off the boundary that are still beyond the angles demanded,
-    /// whatever becomes of those at the boundary: between walls that nearly meet slivers cannot be avoided, but off them.
+    /// The tets off the boundary that are beyond the angles demanded.
+    fn bad_off_boundary(&mut self, complex: &mut TetComplex) -> Vec<TetId> {
+        let measure = StrictInside { angles: BiasedSine, on_boundary: self.on_boundary, relief: Relief::Nothing };
+        let mut bad = self.known.tets_below(complex, self.context, &Scope::default(), grade_off_boundary());
+        bad.retain(|&tet| measure.is_strict(&complex.vertices(tet)));
+        bad
+    }
+
+    /// All operations, the iterated local search and annealing at the tets off the boundary that are still beyond the angles
+    /// demanded, whatever becomes of those at the boundary: between walls that nearly meet slivers cannot be avoided, but off
+    /// them.
     fn treat_off_boundary(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>) -> Result<[usize; 2]> {
         let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
-        let measure = StrictInside { angles: BiasedSine, on_boundary: self.on_boundary, relief: Relief::Nothing };
         let mut search = RegionSearch::new(self.options, self.context, goal, Aim::OffBoundary);
-        let mut before = usize::MAX;
-        for _ in 0..LAST_ROUNDS {
-            self.context.check()?;
-            let mut bad = self.known.tets_below(complex, self.context, &Scope::default(), grade_off_boundary());
-            bad.retain(|&tet| measure.is_strict(&complex.vertices(tet)));
-            if bad.is_empty() || bad.len() >= before {
+        let mut annealings = 0;
+        for _ in 0..LAST_ROUNDS + MOST_ANNEALINGS {
+            for _ in 0..OFF_ROUNDS {
+                self.context.check()?;
+                let bad = self.bad_off_boundary(complex);
+                let treatment = Treatment::off_boundary(goal);
+                if bad.is_empty() || self.driver.treat(complex, sizes, self.on_boundary, bad, &treatment)? == 0 {
+                    break;
+                }
+            }
+            let before = search.counts[1];
+            for tet in self.bad_off_boundary(complex) {
+                while complex.is_live(tet) && search.search(complex, sizes, self.on_boundary, (tet, DEPTHS[1]))? {}
+            }
+            if search.counts[1] > before {
+                continue;
+            }
+            let bad = self.bad_off_boundary(complex);
+            if bad.is_empty() || annealings == MOST_ANNEALINGS {
                 break;
             }
-            before = bad.len();
-            self.driver.treat(complex, sizes, self.on_boundary, bad, &Treatment::off_boundary(goal))?;
-            let mut bad = self.known.tets_below(complex, self.context, &Scope::default(), grade_off_boundary());
-            bad.retain(|&tet| measure.is_strict(&complex.vertices(tet)));
             for tet in bad {
-                while complex.is_live(tet) && search.search(complex, sizes, self.on_boundary, (tet, DEPTHS[1]))? {}
+                if annealings < MOST_ANNEALINGS && complex.is_live(tet) {
+                    annealings += 1;
+                    search.anneal(complex, sizes, self.on_boundary, tet)?;
+                }
             }
         }
         Ok(search.counts)

@@ -25,7 +25,7 @@
 use glam::DVec3;
 use rustc_hash::{FxHashMap, FxHashSet};
 
-use super::flip_criteria::{BiasedSine, Relief, StrictInside, TetMeasure};
+use super::flip_criteria::{BiasedSine, Relief, STRICT_ANGLE, StrictInside, TetMeasure};
 use super::flips::{
     Accept, Feature, FlipScratch, Outcome, commit, plan_edge_removal, plan_face_removal, plan_insertion,
     plan_vertex_removal,
@@ -34,6 +34,7 @@ use super::forced_slivers::{is_forced_sliver, sliver_cosine};
 use super::needle_faces::NeedleFaces;
 use super::options::Options;
 use super::parallel_reconnection::{Crowding, Driver, FLAT_BELOW, Treatment};
+use super::region_annealing::Annealer;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::{TetFace, TetId, VertexId};
@@ -62,6 +63,10 @@ const IMPROVED_BELOW: f64 = 6.0;
 const EDGE_LIMIT: usize = 10;
 /// The large angle that tets off the boundary may have, degrees: half a degree less than demanded.
 const LARGEST_OFF_BOUNDARY: f64 = 157.5;
+/// How far the lowest grade of the tets off the boundary may fall where there are fewer of them, as a factor.
+const PAID_FOR_FEWER: f64 = 0.7;
+/// The factor by which it rises where there are as many.
+const STEP_OF_LOWEST: f64 = 1.05;
 /// The grade from which a tet lacks little: that of a small angle of 10 degrees.
 const LACKING_LITTLE: f64 = 0.17;
 
@@ -83,7 +88,7 @@ pub fn may_not_stay(complex: &TetComplex, on_boundary: &[bool], tet: TetId) -> b
 pub enum Aim {
     /// Fewer tets that may not stay, and no more slivers.
     FewerBad,
-    /// Fewer tets off the boundary beyond the demanded angles, whatever becomes of the others.
+    /// Fewer tets off the boundary beyond the demanded angles, or better ones, whatever becomes of the others.
     OffBoundary,
 }
 
@@ -112,7 +117,8 @@ impl Score {
 
     fn is_accepted_after(&self, before: &Self, aim: Aim) -> bool {
         if aim == Aim::OffBoundary {
-            return self.off < before.off && self.lowest_off >= before.lowest_off;
+            let is_fewer = self.off < before.off && self.lowest_off >= PAID_FOR_FEWER * before.lowest_off;
+            return is_fewer || self.off == before.off && self.lowest_off > STEP_OF_LOWEST * before.lowest_off;
         }
         let is_better_off = self.off <= before.off && self.lowest_off >= before.lowest_off;
         self.bad < before.bad && is_better_off && self.slivers() <= before.slivers()
@@ -306,6 +312,7 @@ pub struct RegionSearch {
     goal: f64,
     /// Tets around which nothing was found, and how deep; they are not searched again before something changes there.
     failed: Vec<(usize, [VertexId; 4])>,
+    annealer: Annealer,
     /// What is searched for.
     aim: Aim,
     /// Disturbances tried, and those that led to something better.
@@ -317,7 +324,16 @@ impl RegionSearch {
     pub fn new(options: &Options, context: &RunContext, goal: f64, aim: Aim) -> Self {
         let driver = Driver::for_quality(options, context);
         let context = context.clone();
-        Self { context, driver, flips: FlipScratch::default(), goal, failed: Vec::new(), aim, counts: [0; 2] }
+        Self {
+            context,
+            driver,
+            flips: FlipScratch::default(),
+            goal,
+            failed: Vec::new(),
+            annealer: Annealer::default(),
+            aim,
+            counts: [0; 2],
+        }
     }
 
     /// Searches around a tet, so many disturbances deep; true where fewer tets are left that may not stay.
@@ -356,6 +372,34 @@ impl RegionSearch {
             current = Region { center: worst, ..region };
         }
         Ok(false)
+    }
+
+    /// Anneals the region around a tet; whether that replaced it.
+    ///
+    /// # Errors
+    /// As [`RegionSearch::search`].
+    pub fn anneal(
+        &mut self,
+        complex: &mut TetComplex,
+        sizes: &mut Vec<f64>,
+        on_boundary: &[bool],
+        tet: TetId,
+    ) -> Result<bool> {
+        if !may_not_stay(complex, on_boundary, tet) {
+            return Ok(false);
+        }
+        let mut region = Region::around(complex, sizes, on_boundary, tet)?;
+        let before = region.score();
+        let Region { complex: copy, sizes: new_sizes, on_boundary, .. } = &mut region;
+        self.annealer.anneal(copy, new_sizes, on_boundary, &self.context)?;
+        self.counts[0] += 1;
+        if !region.score().is_accepted_after(&before, self.aim) {
+            return Ok(false);
+        }
+        self.counts[1] += 1;
+        self.failed.retain(|(_, row)| !row.iter().any(|v| region.vertices.contains(v)));
+        region.replace(complex, sizes, &mut self.flips)?;
+        Ok(true)
     }
 
     /// The best region that one disturbance leads to; the first that is accepted.
@@ -427,13 +471,16 @@ impl RegionSearch {
         driver.turn_to_another_mesh();
         let relief = if self.aim == Aim::OffBoundary { Relief::Boundary } else { Relief::Needles(needles) };
         let treatment = Treatment { relief, ..Treatment::everything(self.goal, Crowding::Allowed) };
-        let limit = IMPROVED_BELOW.to_radians().sin();
+        let measure = StrictInside { angles: BiasedSine, on_boundary, relief: Relief::Nothing };
+        let is_for_off = self.aim == Aim::OffBoundary;
+        let limit = if is_for_off { STRICT_ANGLE } else { IMPROVED_BELOW }.to_radians().sin();
+        let is_meant = |row: [VertexId; 4]| !is_for_off || measure.is_strict(&row);
         let mut changed: Vec<VertexId> = self.flips.plan.new.iter().flatten().copied().collect();
         for _ in 0..ROUNDS {
             let is_near = |tet: TetId| complex.vertices(tet).iter().filter(|v| changed.contains(v)).count() >= 3;
             let mut bad: Vec<(f64, TetId)> = complex
                 .finite_tets()
-                .filter(|&tet| is_near(tet))
+                .filter(|&tet| is_near(tet) && is_meant(complex.vertices(tet)))
                 .map(|tet| (BiasedSine.grade(complex.points_of(tet)), tet))
                 .filter(|(grade, _)| *grade < limit)
                 .collect();
@@ -480,6 +527,35 @@ mod tests {
         region.replace(&mut complex, &mut sizes, &mut FlipScratch::default()).unwrap();
         complex.check_invariants().unwrap();
         assert!(walls(&complex) == before && complex.live_count() == count);
+    }
+
+    #[test]
+    fn annealing_betters_tets_off_the_boundary_and_keeps_walls() {
+        let mut complex = random_mesh(3, 300);
+        add_walls(&mut complex, 11);
+        let before = walls(&complex);
+        let mut sizes = vec![0.1; 300];
+        // Every second vertex counts as one of the boundary.
+        let on_boundary: Vec<bool> = (0..300).map(|v| v % 2 == 0).collect();
+        let left = |complex: &TetComplex| {
+            let is_off =
+                |tet: &TetId| complex.vertices(*tet).iter().all(|v| !on_boundary.get(v.index()).is_some_and(|b| *b));
+            complex
+                .finite_tets()
+                .filter(|tet| is_off(tet) && may_not_stay(complex, &on_boundary, *tet))
+                .collect::<Vec<_>>()
+        };
+        let bad = left(&complex);
+        let context = RunContext::with_threads(1).unwrap();
+        let mut search = RegionSearch::new(&Options::default(), &context, 0.4, Aim::OffBoundary);
+        let mut anneal =
+            |tet: TetId| complex.is_live(tet) && search.anneal(&mut complex, &mut sizes, &on_boundary, tet).unwrap();
+        assert!(bad.iter().take(8).any(|tet| anneal(*tet)));
+        let after = left(&complex);
+        assert!(after.len() <= bad.len(), "{} of {}", after.len(), bad.len());
+        complex.check_invariants().unwrap();
+        complex.check_orientation().unwrap();
+        assert!(walls(&complex) == before && sizes.len() == complex.vertex_count());
     }
 
     #[test]

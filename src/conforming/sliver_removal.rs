@@ -6,8 +6,10 @@
 //!   configuration 2: the shell of the opposite edge                   new point: its centroid, moved to where the worst
 //!   configuration 3: both shells                                      new tet is best
 //! ```
-//! The same with the other two pairs of opposite edges, where asked for. Where no shell helps the worst tets, the
-//! polyhedron grows tet by tet ([`plan_grown_insertion`]).
+//! The same with the other two pairs of opposite edges, where asked for, or with the shells of any set of edges. The search for
+//! the place begins at the centroid; between walls that nearly meet, where that is outside, at the deepest point of the
+//! kernel, which may be thousands of times thinner than wide. Where no shell helps the worst tets, the polyhedron grows tet by
+//! tet ([`plan_grown_insertion`]).
 //!
 //! The configuration whose worst new tet is best is taken, if that is better than the worst tet it replaces and not below
 //! a floor. Without the floor, tets whose bad angles the surface forces would draw point after point, each a little
@@ -32,6 +34,7 @@ use super::flip_criteria::TetMeasure;
 use super::flips::{FlipScratch, Outcome, grade_of};
 use super::smoothing::Star;
 use super::spacing::Spacing;
+use crate::geometry::star_kernel::StarKernel;
 use crate::geometry::tetrahedron::dihedral_angles;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::{TET_EDGE_BETWEEN, TET_EDGES, TET_OPPOSITE_EDGES};
@@ -45,6 +48,7 @@ const MAX_CAVITY: usize = 40;
 #[derive(Debug, Clone, Default)]
 pub struct SliverScratch {
     star: Star,
+    kernel: StarKernel,
     shell: Vec<ShellTet>,
     cavity: Vec<TetId>,
     border: Vec<TetFace>,
@@ -64,9 +68,20 @@ pub struct InsertionLimits<'a> {
     pub spacing: Spacing<'a>,
     /// The size of the point.
     pub size: f64,
-    /// Whether the shells of the other four edges are tried as well: where the surface holds the edges with the largest
-    /// angles, theirs are the only polyhedra there are.
-    pub every_edge: bool,
+    /// Which polyhedra are tried.
+    pub polyhedra: Polyhedra,
+}
+
+/// Which of the polyhedra around a tet are tried: unions of the shells of its edges.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Polyhedra {
+    /// Those of the edge with the largest angle and of the opposite edge.
+    OfLargestAngle,
+    /// Those of the other pairs of opposite edges as well: where the surface holds the edges with the largest angles, theirs
+    /// are the only polyhedra there are.
+    OfEveryPair,
+    /// All unions, with a place wherever there is one.
+    OfEverySet,
 }
 
 /// Claims what an insertion starts from; the outcome where that is not to be had.
@@ -102,21 +117,26 @@ pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
     let [third, fifth] =
         if first == 0 || second == 0 { [1, 2] } else { [0, if first == 1 || second == 1 { 2 } else { 1 }] };
     let [fourth, sixth] = [opposite(third), opposite(fifth)];
-    let configurations: [&[usize]; 9] = [
-        &[first],
-        &[second],
-        &[first, second],
-        &[third],
-        &[fourth],
-        &[fifth],
-        &[sixth],
-        &[third, fourth],
-        &[fifth, sixth],
+    // Sets of edges as bits, the most promising first.
+    let of = |edges: [usize; 2]| 1u8 << edges[0] | 1 << edges[1];
+    let likely = [
+        of([first, first]),
+        of([second, second]),
+        of([first, second]),
+        of([third, third]),
+        of([fourth, fourth]),
+        of([fifth, fifth]),
+        of([sixth, sixth]),
+        of([third, fourth]),
+        of([fifth, sixth]),
     ];
-    let count = if limits.every_edge { configurations.len() } else { 3 };
+    let count = if limits.polyhedra == Polyhedra::OfLargestAngle { 3 } else { likely.len() };
+    let others = if limits.polyhedra == Polyhedra::OfEverySet { 1..1u8 << 6 } else { 0..0 };
+    let others = others.filter(|set| !likely.contains(set));
     let mut best: Option<(f64, f64, DVec3)> = None;
     let mut last = Outcome::WorsensQuality;
-    for edges in &configurations[..count] {
+    for set in likely[..count].iter().copied().chain(others) {
+        let edges = (0..6).filter(|edge| set >> edge & 1 > 0);
         match gather(store, tet, edges, measure, scratch) {
             Outcome::Accepted => {}
             Outcome::ClaimLost => return (Outcome::ClaimLost, DVec3::ZERO),
@@ -128,7 +148,7 @@ pub fn plan_sliver_insertion<S: TetStore + ?Sized, M: TetMeasure>(
         let graded = |&t: &TetId| grade_of(store, measure, store.vertices(t));
         let old = scratch.cavity.iter().map(graded).fold(f64::INFINITY, f64::min);
         let bound = best.map_or(limits.floor.max(old * (1.0 + 1e-6)), |(grade, ..)| grade);
-        let Some((place, grade)) = best_place(store, tet, measure, scratch) else {
+        let Some((place, grade)) = best_place(store, tet, limits.polyhedra, measure, scratch) else {
             last = Outcome::WouldInvert;
             continue;
         };
@@ -158,7 +178,7 @@ pub fn plan_edge_split<S: TetStore + ?Sized, M: TetMeasure>(
     if let Some(refusal) = claim_start(store, tet, vertex) {
         return (refusal, DVec3::ZERO);
     }
-    match gather(store, tet, &[edge], measure, scratch) {
+    match gather(store, tet, std::iter::once(edge), measure, scratch) {
         Outcome::Accepted => {}
         other => return (other, DVec3::ZERO),
     }
@@ -182,12 +202,14 @@ pub fn plan_edge_split<S: TetStore + ?Sized, M: TetMeasure>(
 fn gather<S: TetStore + ?Sized, M: TetMeasure>(
     store: &mut S,
     tet: TetId,
-    edges: &[usize],
+    edges: impl Iterator<Item = usize>,
     measure: &M,
     scratch: &mut SliverScratch,
 ) -> Outcome {
     scratch.cavity.clear();
-    for &edge in edges {
+    let mut shells = 0;
+    for edge in edges {
+        shells += 1;
         let [a, b] = TET_EDGES[edge];
         if store.is_edge_constrained(tet, a, b) {
             return Outcome::Constrained;
@@ -212,7 +234,7 @@ fn gather<S: TetStore + ?Sized, M: TetMeasure>(
         }
     }
     collect_border(store, scratch);
-    if edges.len() > 1 && !scratch.keeps_all(store) {
+    if shells > 1 && !scratch.keeps_all(store) {
         return Outcome::Constrained;
     }
     scratch.fill_star(store, measure);
@@ -291,24 +313,26 @@ fn collect_border<S: TetStore + ?Sized>(store: &S, scratch: &mut SliverScratch) 
     }
 }
 
-/// The best place for the point of the star in the scratch: from the centroid of the border, or of the sliver.
+/// The best place for the point of the star in the scratch: from the centroid of the border, or of the sliver, or from the
+/// deepest point of the kernel.
 fn best_place<S: TetStore + ?Sized, M: TetMeasure>(
     store: &S,
     tet: TetId,
+    polyhedra: Polyhedra,
     measure: &M,
     scratch: &mut SliverScratch,
 ) -> Option<(DVec3, f64)> {
-    let star = &mut scratch.star;
+    let SliverScratch { star, kernel, .. } = scratch;
     let centroid = star.faces.iter().map(|[a, b, c]| (*a + *b + *c) / 3.0).sum::<DVec3>() / star.faces.len() as f64;
     let sliver = store.points_of(tet).iter().sum::<DVec3>() / 4.0;
-    for start in [centroid, sliver] {
-        if star.is_visible_from(start) {
-            let (place, grade) = star.search(measure, start);
-            let place = if star.is_visible_from(place) { place } else { start };
-            return Some((place, grade));
-        }
+    let mut start = [centroid, sliver].into_iter().find(|start| star.is_visible_from(*start));
+    if start.is_none() && polyhedra == Polyhedra::OfEverySet {
+        start = kernel.deepest_point(&star.faces).filter(|start| star.is_visible_from(*start));
     }
-    None
+    let start = start?;
+    let (place, grade) = star.search(measure, start);
+    let place = if star.is_visible_from(place) { place } else { start };
+    Some((place, grade))
 }
 
 #[cfg(test)]
@@ -320,7 +344,7 @@ mod tests {
     use crate::mesh::tet_complex::TetComplex;
 
     const FREE: InsertionLimits<'_> =
-        InsertionLimits { floor: 0.0, spacing: Spacing::FREE, size: 0.0, every_edge: false };
+        InsertionLimits { floor: 0.0, spacing: Spacing::FREE, size: 0.0, polyhedra: Polyhedra::OfLargestAngle };
 
     /// Constrains an edge in all tets that have it.
     fn hold_edge(complex: &mut TetComplex, ends: [VertexId; 2]) {
@@ -346,7 +370,8 @@ mod tests {
                 let first = (0..6).max_by(|&i, &j| angles[i].total_cmp(&angles[j])).unwrap();
                 let held = TET_EDGES[first].map(|i| complex.vertices(tet)[i]);
                 hold_edge(&mut complex, held);
-                let limits = InsertionLimits { every_edge, ..FREE };
+                let polyhedra = if every_edge { Polyhedra::OfEveryPair } else { Polyhedra::OfLargestAngle };
+                let limits = InsertionLimits { polyhedra, ..FREE };
                 let (mut scratch, mut flips) = (SliverScratch::default(), FlipScratch::default());
                 let (outcome, place) =
                     plan_sliver_insertion(&mut complex, tet, spare, limits, &BiasedSine, &mut scratch, &mut flips);
@@ -419,7 +444,8 @@ mod tests {
                 let grade = BiasedSine.grade(mesh.points_of(tet));
                 let (mut scratch, mut flips) = (SliverScratch::default(), FlipScratch::default());
                 let spacing = Spacing { sizes: &sizes, factor, longest: f64::INFINITY };
-                let limits = InsertionLimits { floor: 1.3 * grade, spacing, size: 0.1, every_edge: true };
+                let limits =
+                    InsertionLimits { floor: 1.3 * grade, spacing, size: 0.1, polyhedra: Polyhedra::OfEveryPair };
                 let (outcome, place) = plan_grown_insertion(
                     &mut complex,
                     (tet, spare),

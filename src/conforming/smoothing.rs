@@ -28,6 +28,7 @@ use super::flip_criteria::{TetMeasure, Weight};
 use super::flips::{Outcome, touches_constraint};
 use super::spacing::Spacing;
 use crate::geometry::predicates::orient3d;
+use crate::geometry::star_kernel::StarKernel;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_FACES;
 use crate::mesh::tet_flags::TetFlags;
@@ -238,6 +239,9 @@ impl Star {
 pub struct Smoother {
     /// The star of the vertex at hand.
     pub star: Star,
+    kernel: StarKernel,
+    /// Whether searches also start from the deepest point of the ball's kernel.
+    pub seeks_kernel: bool,
     ball: Vec<TetId>,
     /// The searches that led nowhere.
     pub failed: FailedAttempts,
@@ -359,7 +363,15 @@ impl Smoother {
             return Outcome::WorsensQuality;
         }
         let before = self.star.strict_grade(measure, at, f64::NEG_INFINITY);
-        let (place, after) = self.star.search(measure, at);
+        let (mut place, mut after) = self.star.search(measure, at);
+        if self.seeks_kernel
+            && let Some(deepest) = self.kernel.deepest_point(&self.star.faces)
+        {
+            let (other, grade) = self.star.search(measure, deepest);
+            if grade > after {
+                (place, after) = (other, grade);
+            }
+        }
         let is_better = after > before * (1.0 + 1e-6);
         if is_better && self.may_move(store, vertex, place, spacing) && self.star.is_visible_from(place) {
             self.move_to(store, vertex, place);

@@ -15,5 +15,6 @@ pub mod point_grid;
 pub mod predicates;
 pub mod segment;
 pub mod spatial_sort;
+pub mod star_kernel;
 pub mod tetrahedron;
 pub mod triangle;

@@ -13,7 +13,7 @@
 use super::super::edge_lengths::betters_lengths;
 use super::super::flip_criteria::{BiasedSine, Relief, StrictInside};
 use super::super::flips::Outcome;
-use super::super::sliver_removal::{InsertionLimits, plan_edge_split};
+use super::super::sliver_removal::{InsertionLimits, Polyhedra, plan_edge_split};
 use super::super::spacing::Spacing;
 use super::tet_treatment::{FLOOR, LONGEST, SPACING};
 use super::{Job, Kit};
@@ -81,8 +81,12 @@ impl Job for SplitJob<'_> {
             store.release_claims();
             return Ok(Attempt::Done);
         };
-        let limits =
-            InsertionLimits { floor: FLOOR.to_radians().sin(), spacing: self.spacing, size, every_edge: false };
+        let limits = InsertionLimits {
+            floor: FLOOR.to_radians().sin(),
+            spacing: self.spacing,
+            size,
+            polyhedra: Polyhedra::OfLargestAngle,
+        };
         let Kit { slivers, reconnector, lengths, .. } = &mut *kit;
         let plan = &mut reconnector.scratch;
         let (outcome, place) = plan_edge_split(store, (tet, edge), vertex, limits, &self.measure, slivers, plan);

@@ -21,10 +21,10 @@ use glam::DVec3;
 
 use super::super::edge_lengths::keeps_lengths;
 use super::super::failed_attempts::{ball_fingerprint, salt_of};
-use super::super::flip_criteria::{BiasedSine, Relief, STRICT_ANGLE, StrictInside, TetMeasure, UnskewedSine};
+use super::super::flip_criteria::{BiasedSine, Relief, STRICT_ANGLE, StrictInside, TetMeasure, UnskewedSine, strict};
 use super::super::flips::{Accept, Outcome, plan_edge_removal, plan_face_removal, plan_vertex_removal};
 use super::super::needle_faces::NeedleFaces;
-use super::super::sliver_removal::{InsertionLimits, plan_grown_insertion, plan_sliver_insertion};
+use super::super::sliver_removal::{InsertionLimits, Polyhedra, plan_grown_insertion, plan_sliver_insertion};
 use super::super::small_polyhedron::plan_polyhedron_reconnection;
 use super::super::spacing::Spacing;
 use super::{Job, Kit};
@@ -161,7 +161,8 @@ fn insertion_limits(
     } else {
         (grade_at(FLOOR), is_off_boundary)
     };
-    InsertionLimits { floor, spacing, size, every_edge }
+    let polyhedra = if every_edge { Polyhedra::OfEveryPair } else { Polyhedra::OfLargestAngle };
+    InsertionLimits { floor, spacing, size, polyhedra }
 }
 
 pub(super) struct TreatJob<'a, G> {
@@ -310,6 +311,7 @@ impl<G: TetMeasure> TreatJob<'_, G> {
     ) -> bool {
         let spacing = self.spacing(lengths);
         let mut moved = false;
+        kit.smoother.seeks_kernel = matches!(self.treatment.relief, Relief::Boundary);
         for vertex in row.into_iter().filter(|v| !self.is_fixed(*v)) {
             if kit.smoother.optimize(store, vertex, &self.measure, spacing) == Outcome::Accepted {
                 kit.touched.moved.push(vertex);
@@ -366,7 +368,12 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         let size = self.size_at(row);
         let grade = self.measure.grade(store.corners(row));
         let is_off = self.measure.is_strict(&row);
-        let limits = insertion_limits(grade, is_off, (size, self.spacing(lengths)), self.treatment.crowding);
+        let mut limits = insertion_limits(grade, is_off, (size, self.spacing(lengths)), self.treatment.crowding);
+        if is_off && grade < bad_grade(true) && matches!(self.treatment.relief, Relief::Boundary) {
+            // Step by step, as tets off the boundary count: what is better than the worst tet is taken, however little.
+            limits.floor = strict((GAIN * grade).min(bad_grade(true)));
+            limits.polyhedra = Polyhedra::OfEverySet;
+        }
         let Kit { slivers, reconnector, .. } = kit;
         let scratch = &mut reconnector.scratch;
         let (mut outcome, mut place) =
@@ -375,7 +382,7 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         if grows && !matches!(outcome, Outcome::Accepted | Outcome::ClaimLost) {
             store.release_claims();
             let limits = InsertionLimits { floor: limits.floor.min(GAIN * grade), ..limits };
-            let asked = (limits, GAIN);
+            let asked = (limits, if limits.polyhedra == Polyhedra::OfEverySet { 1.0 + 1e-6 } else { GAIN });
             (outcome, place) = plan_grown_insertion(store, (tet, vertex), None, asked, &self.measure, slivers, scratch);
             let edge = shortest_edge(row.map(|v| store.point(v)));
             if let Some(ends) = edge.filter(|_| !matches!(outcome, Outcome::Accepted | Outcome::ClaimLost)) {
@@ -485,9 +492,9 @@ mod tests {
             assert_eq!(poor.floor, if crowding == Crowding::Allowed { GAIN * sine(3.0) } else { sine(10.0) });
             assert_eq!(limits(7.0, false, crowding).floor, sine(10.0));
             let beside = limits(12.0, false, crowding);
-            assert!(beside.floor == sine(18.0) && !beside.every_edge);
+            assert!(beside.floor == sine(18.0) && beside.polyhedra == Polyhedra::OfLargestAngle);
             let off = limits(12.0, true, crowding);
-            assert!(off.floor == sine(10.0) && off.every_edge, "bad off the boundary");
+            assert!(off.floor == sine(10.0) && off.polyhedra == Polyhedra::OfEveryPair, "bad off the boundary");
             assert_eq!(limits(16.0, true, crowding).floor, sine(18.0));
         }
     }

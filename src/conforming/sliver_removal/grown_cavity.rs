@@ -23,7 +23,7 @@
 
 use glam::DVec3;
 
-use super::{InsertionLimits, SliverScratch, collect_border};
+use super::{InsertionLimits, Polyhedra, SliverScratch, collect_border};
 use crate::conforming::flip_criteria::TetMeasure;
 use crate::conforming::flips::{FlipScratch, Outcome, grade_of};
 use crate::index::{TetFace, TetId, VertexId};
@@ -163,6 +163,12 @@ fn grow_from<S: TetStore + ?Sized, M: TetMeasure>(
         scratch.fill_star(store, measure);
         let (moved, mut grade) = scratch.star.search_steps(measure, place, FIRST_STEPS);
         place = moved;
+        if grade <= 0.0
+            && limits.polyhedra == Polyhedra::OfEverySet
+            && let Some(deepest) = scratch.kernel.deepest_point(&scratch.star.faces)
+        {
+            (place, grade) = scratch.star.search_steps(measure, deepest, FIRST_STEPS);
+        }
         let bound = best.as_ref().map_or(limits.floor, |b| b.grade).max(gain * old_grade);
         if grade > PROMISING * bound {
             (place, grade) = scratch.star.search(measure, place);
@@ -264,7 +270,8 @@ mod tests {
         let (tet, before) = worst(&complex).unwrap();
         assert!(before < 0.05);
         let spare = complex.push_point(DVec3::ZERO).unwrap();
-        let limits = InsertionLimits { floor: 0.0, spacing: Spacing::FREE, size: 1.0, every_edge: true };
+        let limits =
+            InsertionLimits { floor: 0.0, spacing: Spacing::FREE, size: 1.0, polyhedra: Polyhedra::OfEveryPair };
         let (mut scratch, mut flips) = (SliverScratch::default(), FlipScratch::default());
         let ends = [0, 1].map(|v| complex.local_vertex(tet, VertexId(v)).unwrap());
         let (outcome, place) = plan_grown_insertion(
