@@ -69,7 +69,7 @@ const WORST_ROUNDS: usize = 6;
 const LAST_ROUNDS: usize = 12;
 /// Most rounds over the tets off the boundary between two searches: operations that move a vertex a little go on for long.
 const OFF_ROUNDS: usize = 8;
-/// Most regions annealed: enough for eleven of thirteen of Chazelle's polyhedra.
+/// Most regions annealed: enough for nine of eleven of Chazelle's polyhedra.
 const MOST_ANNEALINGS: usize = 16;
 /// Most rounds over the tets with skew faces, at the end.
 const SKEW_ROUNDS: usize = 6;
