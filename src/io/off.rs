@@ -36,11 +36,12 @@ pub fn read(path: &Path) -> Result<FileMesh> {
         }
     }
     for _ in 0..faces {
-        let corners = scan.count("corners", 2)?;
-        if corners < 3 {
-            let text = format!("a face of {corners} corners; {points} points and {faces} faces are claimed");
-            return Err(scan.refuse(text));
-        }
+        let claims = || format!("{points} points and {faces} faces are claimed");
+        let corners = match scan.count("corners", 2) {
+            Ok(corners) if corners >= 3 => corners,
+            Ok(corners) => return Err(scan.refuse(format!("a face of {corners} corners; {}", claims()))),
+            Err(_) => return Err(scan.refuse(format!("no number of corners where a face should begin; {}", claims()))),
+        };
         let mut nodes = Vec::with_capacity(corners);
         for _ in 0..corners {
             nodes.push(scan.integer()?);

@@ -138,14 +138,21 @@ fn read_row(body: &mut Body, element: &Element, mesh: &mut FileMesh) -> Result<(
     let mut point = DVec3::NAN;
     for property in &element.properties {
         if let Some(list) = property.list {
-            let length = body.count(list)?;
+            let is_face = element.name == "face" && property.name.starts_with("vert");
+            let points = mesh.points.len();
+            let length = match body.count(list) {
+                Err(_) if is_face => {
+                    let text = format!("no number of corners where a face should begin; {points} points are claimed");
+                    return Err(body.scan.refuse(text));
+                }
+                other => other?,
+            };
             let mut nodes = Vec::with_capacity(length);
             for _ in 0..length {
                 nodes.push(body.next(property.number)? as i64);
             }
-            if element.name == "face" && property.name.starts_with("vert") {
+            if is_face {
                 if length < 3 {
-                    let points = mesh.points.len();
                     let text = format!("a face of {length} corners; {points} points are claimed before the faces");
                     return Err(body.scan.refuse(text));
                 }
