@@ -69,8 +69,8 @@ const WORST_ROUNDS: usize = 6;
 const LAST_ROUNDS: usize = 12;
 /// Most rounds over the tets off the boundary between two searches: operations that move a vertex a little go on for long.
 const OFF_ROUNDS: usize = 8;
-/// Most regions annealed: enough for nine of eleven of Chazelle's polyhedra.
-const MOST_ANNEALINGS: usize = 16;
+/// Most regions annealed: enough for sixteen of nineteen of Chazelle's polyhedra; twelve of these with 16 at one temperature.
+const MOST_ANNEALINGS: usize = 24;
 /// Most rounds over the tets with skew faces, at the end.
 const SKEW_ROUNDS: usize = 6;
 /// Angles that the rounds over the worst tets aim at, degrees: beyond what users ask for, so that they get it.
