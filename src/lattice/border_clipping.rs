@@ -6,7 +6,7 @@
 //! 2. Elements that still cross it are cut along it. Edges are cut where they meet the plane; a face that becomes a
 //!    quadrilateral is divided from that of its two inner vertices that is nearer to the plane, so neighbours agree.
 //! 3. What lies beyond is left out. Background elements whose centroid was beyond take the label of the voxels at what is
-//!    left of them.
+//!    left of them, but for those that run past a plane which the mesh does not reach and nothing cuts.
 //! ```text
 //!     \/\/\/\/\/   elements past the border          ----------- cut; a vertex next to the plane has moved onto it
 //!     /\/\/\/\/\                          ->         /\/\/\/\/\
@@ -59,8 +59,9 @@ pub fn clip_at_border(mesh: &mut CandidateMesh, surface: &SubvoxelSurface) -> Re
     }
     let mut work = Clipping::new(mesh);
     planes.iter().for_each(|plane| work.clip(surface, *plane));
-    work.label_changed(surface);
-    work.relabel()?;
+    let is_beyond = work.elements_beyond(surface);
+    work.label_changed(surface, &is_beyond);
+    work.relabel(&is_beyond)?;
     work.finish(mesh);
     Ok(planes)
 }
@@ -196,11 +197,21 @@ impl Clipping {
         near.retain(|v| moves[*v]);
     }
 
+    /// Background elements that run past a border plane which the mesh did not reach: the image says nothing of them.
+    fn elements_beyond(&self, surface: &SubvoxelSurface) -> Vec<bool> {
+        let is_inside = |v: &u32| {
+            let point = self.points[*v as usize];
+            surface.within_borders(point) == point
+        };
+        let is_beyond = |(tet, label): (&[u32; 4], &Label)| label.is_background() && !tet.iter().all(is_inside);
+        self.tets.par_iter().with_min_len(4096).zip(&self.labels).map(is_beyond).collect()
+    }
+
     /// Background elements that reached a border take the label of their voxels.
-    fn label_changed(&mut self, surface: &SubvoxelSurface) {
+    fn label_changed(&mut self, surface: &SubvoxelSurface, is_beyond: &[bool]) {
         for (t, tet) in self.tets.iter().enumerate() {
             self.relabels[t] |= tet.iter().any(|v| self.changed[*v as usize]);
-            if self.relabels[t] && self.labels[t].is_background() {
+            if self.relabels[t] && self.labels[t].is_background() && !is_beyond[t] {
                 let center = tet.iter().map(|v| self.points[*v as usize]).sum::<DVec3>() / 4.0;
                 self.labels[t] = surface.nearest_label(center);
             }
@@ -208,7 +219,7 @@ impl Clipping {
     }
 
     /// The elements at the border get labels that surfaces can be smoothed with.
-    fn relabel(&mut self) -> Result<()> {
+    fn relabel(&mut self, is_beyond: &[bool]) -> Result<()> {
         let neighbors = neighbors_of(&self.tets, self.points.len())?;
         // The plane is no surface that moves: an element counts as its own neighbour there.
         let mut continued = neighbors.clone();
@@ -218,13 +229,16 @@ impl Clipping {
             }
         }
         let relabels = &self.relabels;
-        let may_take = |_: &[Label], changed: &[u32], _: Label| changed.iter().all(|e| relabels[*e as usize]);
+        let is_within = |changed: &[u32]| changed.iter().all(|e| !is_beyond[*e as usize]);
+        let may_take =
+            |_: &[Label], changed: &[u32], _: Label| is_within(changed) && changed.iter().all(|e| relabels[*e as usize]);
         relabel_for_smoothing(&mut self.labels, &continued, may_take);
         let topology = InterfaceTopology::new(&self.tets, &neighbors, self.points.len());
         topology.repair(&mut self.labels, None, |labels, changed, to| may_take(labels, changed, to).then_some(0));
         // What still pinches needs a change farther inside, or of all its elements at once.
-        topology.repair(&mut self.labels, None, |_, _, _| Some(0));
-        unite_at_pinches(&topology, &mut self.labels, relabels);
+        topology.repair(&mut self.labels, None, |_, changed, _| is_within(changed).then_some(0));
+        let may_change: Vec<bool> = relabels.iter().zip(is_beyond).map(|(may, beyond)| *may && !beyond).collect();
+        unite_at_pinches(&topology, &mut self.labels, &may_change);
         Ok(())
     }
 
@@ -374,6 +388,23 @@ mod tests {
         for corner in [high, DVec3::new(high.x, low.y, high.z)] {
             assert!(points.iter().any(|p| p.distance(corner) < 0.3), "{corner}");
         }
+    }
+
+    #[test]
+    fn specks_at_the_border_stay_within_the_image() {
+        // The lattice has vertices on one border plane, so that the mesh does not reach past it; elements behind have the specks'
+        // voxels next to them.
+        let size = [21, 18, 15];
+        let grid = Grid::new(size, DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).unwrap();
+        let label = |v: usize| Label(u16::from((v as u32).wrapping_mul(2_654_435_761) >> 28 == 0));
+        let image = LabelImage::new(grid, (0..size.iter().product()).map(label).collect(), vec![0, 1]).unwrap();
+        let options = Options::from_parameters(&ParameterSet::new(PARAMETERS)).unwrap();
+        let (output, _) = lattice::run(&image, &options, &RunContext::with_threads(2).unwrap()).unwrap();
+        check_mixed_mesh(&output.mesh).unwrap();
+        let high = DVec3::from_array(size.map(|n| n as f64 - 0.5));
+        let farthest = |p: &DVec3| (DVec3::splat(-0.5) - *p).max(*p - high).max_element();
+        let beyond = output.mesh.points.iter().map(farthest).fold(f64::MIN, f64::max);
+        assert!(beyond < 1e-9, "{beyond}");
     }
 
     #[test]

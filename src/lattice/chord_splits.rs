@@ -142,7 +142,7 @@ fn across(mesh: &ImprovementMesh, middle: DVec3, normal: DVec3, [inner, outer]: 
     for count in 1..=STEPS_ACROSS {
         let after = depth(middle + step * count as f64)?;
         if (after > 0.0) != (before > 0.0) {
-            return Some(middle + step * (count as f64 - after / (after - before)));
+            return Some(mesh.surface.within_borders(middle + step * (count as f64 - after / (after - before))));
         }
         before = after;
     }

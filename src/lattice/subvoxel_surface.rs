@@ -137,6 +137,13 @@ impl<'a> SubvoxelSurface<'a> {
         (axis, voxel * self.spacing[axis])
     }
 
+    /// The point of the image nearest to `point`: beyond the border planes there is nothing to mesh, although the surfaces go
+    /// on there. Vertices of surfaces that only run towards a plane have no side that holds them back.
+    pub fn within_borders(&self, point: DVec3) -> DVec3 {
+        let [low, high] = [0, 1].map(|end| DVec3::from_array([0, 2, 4].map(|plane| self.border(plane + end).1)));
+        point.clamp(low, high)
+    }
+
     /// The border plane nearest to a point.
     pub fn nearest_border(&self, point: DVec3) -> u8 {
         let beyond = |plane: u8| {
@@ -341,14 +348,15 @@ impl<'a> SubvoxelSurface<'a> {
         step.is_finite().then_some((step, residual))
     }
 
-    /// The point of the junction of `sides` near `point`, at most `reach` (mm) away; `None` where there is none.
+    /// The point of the junction of `sides` near `point`, within the image and at most `reach` (mm) away; `None` where there is
+    /// none.
     pub fn project(&self, point: DVec3, sides: &[Side], reach: f64) -> Option<DVec3> {
         let mut at = point;
         let tolerance = LAST_STEP * self.spacing.min_element();
         let longest = 0.75 * self.spacing.max_element();
         for _ in 0..PROJECTION_STEPS {
             let (step, _) = self.step_to_junction(at, sides)?;
-            at += step.clamp_length_max(longest);
+            at = self.within_borders(at + step.clamp_length_max(longest));
             if at.distance_squared(point) > reach * reach {
                 return None;
             }
@@ -457,6 +465,16 @@ mod tests {
         let sides = [Side::Label(Label(2)), Side::Border(1)];
         let found = surface.project(DVec3::new(23.9, 11.0, 12.0), &sides, 2.0).expect("the border is near");
         assert_eq!(found, DVec3::new(23.5, 11.0, 12.0));
+    }
+
+    #[test]
+    fn surfaces_end_at_the_border_also_for_points_that_no_plane_holds() {
+        let image = split_ball(14.0);
+        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
+        // Between both labels beyond the plane k = -0.5, where the image is continued.
+        let sides = [Side::Label(Label(1)), Side::Label(Label(2))];
+        let found = surface.project(DVec3::new(10.7, 12.0, -1.4), &sides, 2.0).expect("a surface is near");
+        assert!(found.z == -0.5 && (found.x - 10.5).abs() < 0.1, "{found}");
     }
 
     #[test]

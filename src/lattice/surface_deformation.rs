@@ -217,14 +217,16 @@ fn displacements_of(
     Ok(displacements)
 }
 
-/// Vertices on a border plane stay in it. With the outermost vertices of the scaffold they are the outside of everything that
-/// moves: only where that keeps its place, elements that stay positive cannot overlap.
+/// Source points stay within the image, and those on a border plane in it. With the outermost vertices of the scaffold these are
+/// the outside of everything that moves: only where that keeps its place, elements that stay positive cannot overlap.
 fn stay_in_planes(mesh: &CandidateMesh, input: &Deformation, displacements: &mut [DVec3]) {
     for (at, vertex) in input.sources.vertices.iter().enumerate() {
+        let place = mesh.points[vertex.index()];
+        displacements[vertex.index()] = input.surface.within_borders(place + displacements[vertex.index()]) - place;
         for side in input.sources.sides(at) {
             if let Side::Border(plane) = side {
                 let (axis, position) = input.surface.border(*plane);
-                displacements[vertex.index()][axis] = position - mesh.points[vertex.index()][axis];
+                displacements[vertex.index()][axis] = position - place[axis];
             }
         }
     }

@@ -195,7 +195,7 @@ fn on_surface_trial(
     ball: &mut Ball,
 ) -> Option<(DVec3, f64)> {
     let is_bound_to_plane = mesh.sides(v).iter().any(|s| matches!(s, Side::Border(_)));
-    let within = |center: DVec3| center + (trial - center).clamp_length_max(slack);
+    let within = |center: DVec3| mesh.surface.within_borders(center + (trial - center).clamp_length_max(slack));
     let exact = mesh.surface.project(trial, mesh.sides(v), 4.0 * step + 4.0 * slack);
     let places = match exact {
         Some(exact) => [Some(exact), Some(within(exact)), Some(within(start))],
