@@ -63,7 +63,7 @@ pub fn split_chords(mesh: &mut ImprovementMesh, tolerance: f64, bound: f64) -> u
 pub fn chords(mesh: &ImprovementMesh, tolerance: f64) -> Vec<(f64, Chord)> {
     let of_vertex = |v: u32| {
         let star = mesh.stars().of(v).unwrap_or(&[]);
-        star.iter().flat_map(move |face| of_face(mesh, v, face)).flatten().filter(|(off, _)| *off > tolerance)
+        star.iter().flat_map(move |face| of_face(mesh, v, face, tolerance)).flatten()
     };
     let vertices = (0..mesh.points.len() as u32).into_par_iter().with_min_len(1024);
     let mut far: Vec<(f64, Chord)> = vertices.flat_map_iter(of_vertex).collect();
@@ -72,21 +72,23 @@ pub fn chords(mesh: &ImprovementMesh, tolerance: f64) -> Vec<(f64, Chord)> {
     far.retain(|(_, chord)| seen.insert(*chord));
     far
 }
+
 /// The chords that are listed at one vertex of a face: the edge that begins there, at its smaller vertex, and the face, at its
-/// smallest, each with how far off its middle is.
-fn of_face(mesh: &ImprovementMesh, v: u32, face: &SurfaceFace) -> [Option<(f64, Chord)>; 2] {
-    let label = |t: u32| mesh.labels[t as usize];
-    let sides = [label(face.inner), face.outer.map_or(Label::BACKGROUND, label)];
+/// smallest, each with how far off its middle is, where that is more than `tolerance`.
+fn of_face(mesh: &ImprovementMesh, v: u32, face: &SurfaceFace, tolerance: f64) -> [Option<(f64, Chord)>; 2] {
+    let sides = mesh.labels_beside(face);
     let [w, u] = face.others;
     let at = |v: u32| mesh.points[v as usize];
     let off = |middle: DVec3| mesh.surface.depth(middle, sides[0], sides[1]).map(f64::abs);
     let edge = |v: u32, w: u32| off(at(v).midpoint(at(w)));
-    let along = (w > v).then(|| edge(v, w).map(|off| (off, Chord::Edge([v, w])))).flatten();
+    let is_far = |off: &f64| *off > tolerance;
+    let along = (w > v).then(|| edge(v, w)).flatten().filter(is_far).map(|off| (off, Chord::Edge([v, w])));
     // Where all vertices are on a border plane the face lies in it.
     let across = (w > v && u > v && !is_in_border(mesh, [v, w, u])).then(|| {
-        let middle = off((at(v) + at(w) + at(u)) / 3.0)?;
-        let is_farthest = || [[v, w], [w, u], [u, v]].iter().all(|[p, q]| edge(*p, *q).is_none_or(|off| off < middle));
-        (middle > 0.0 && is_farthest()).then_some((middle, Chord::Face([v, w, u], sides)))
+        // The edges are measured for the few faces that are far off: this is asked of every face of the mesh.
+        let middle = off((at(v) + at(w) + at(u)) / 3.0).filter(is_far)?;
+        let is_farthest = [[v, w], [w, u], [u, v]].iter().all(|[p, q]| edge(*p, *q).is_none_or(|off| off < middle));
+        is_farthest.then_some((middle, Chord::Face([v, w, u], sides)))
     });
     [along, across.flatten()]
 }

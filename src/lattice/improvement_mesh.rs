@@ -386,6 +386,13 @@ impl<'a> ImprovementMesh<'a> {
         })
     }
 
+    /// The labels on the inner and the outer side of a surface face.
+    #[inline]
+    pub fn labels_beside(&self, face: &SurfaceFace) -> [Label; 2] {
+        let label = |t: u32| self.labels[t as usize];
+        [label(face.inner), face.outer.map_or(Label::BACKGROUND, label)]
+    }
+
     /// Whether an edge lies on a surface: its tets differ in label or do not close around it.
     pub fn is_surface_edge(&self, a: u32, b: u32, shell: &[u32]) -> bool {
         if !(self.is_on_surface(a) && self.is_on_surface(b)) {

@@ -444,6 +444,7 @@ mod tests {
         // Two opposite corners apart, for one.
         assert!(pinched > 0 && topology.excess(0, &[1, 0, 0, 0, 0, 0, 0, 1].map(Label)) == 1);
     }
+
     #[test]
     fn trials_around_a_vertex_gain_what_they_gain_anywhere() {
         // Three layers of 4 x 4 cubes of six tets each.

@@ -323,10 +323,7 @@ fn surface_contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32, shell
         before.dot(after) > SMALLEST_NORMAL_COSINE
     };
     let stay = || faces.iter().filter(|f| !f.others.contains(&to));
-    let label = |t: u32| mesh.labels[t as usize];
-    let with = |v: u32, f: &SurfaceFace| {
-        ([v, f.others[0], f.others[1]], [label(f.inner), f.outer.map_or(Label::BACKGROUND, label)])
-    };
+    let with = |v: u32, f: &SurfaceFace| ([v, f.others[0], f.others[1]], mesh.labels_beside(f));
     stay().all(|f| keeps_direction(&f))
         && !cuts_off(mesh, faces.iter().map(|f| with(from, f)), stay().map(|f| with(to, f)))
 }

@@ -204,18 +204,14 @@ impl<'a> SubvoxelSurface<'a> {
     /// Signed distance to the surface between labels a and b, mm, positive in a, and the unit normal towards a; `None` where
     /// no such surface is near.
     pub fn signed_distance(&self, point: DVec3, a: Label, b: Label) -> Option<(f64, DVec3)> {
-        if let Some((distance, normal)) = self.smooth_difference(point, a, b) {
-            let distance = distance.clamp(-LONGEST_DISTANCE, LONGEST_DISTANCE) + self.offset(a, b);
-            return Some((distance, normal));
-        }
-        self.blurred_distance(point, a, b)
+        self.near_distance(point, a, b).or_else(|| self.blurred_distance(point, a, b))
     }
 
     /// As the distance of [`signed_distance`](Self::signed_distance), also in the middle of a thin part, where no direction leads to
     /// the surface: half the difference of both labels' distances there.
     pub fn depth(&self, point: DVec3, a: Label, b: Label) -> Option<f64> {
-        if let Some((distance, _)) = self.smooth_difference(point, a, b) {
-            return Some(distance.clamp(-LONGEST_DISTANCE, LONGEST_DISTANCE) + self.offset(a, b));
+        if let Some((distance, _)) = self.near_distance(point, a, b) {
+            return Some(distance);
         }
         let value = |label| self.smooth.sample(label, point / self.spacing, self.size, self.spacing);
         match (value(a), value(b)) {
@@ -224,6 +220,12 @@ impl<'a> SubvoxelSurface<'a> {
             (None, Some((of_b, _))) if !self.smooth.has(a) => Some(self.offset(a, b) - of_b),
             _ => self.blurred_distance(point, a, b).map(|(distance, _)| distance),
         }
+    }
+
+    /// As [`signed_distance`](Self::signed_distance), near a boundary only.
+    fn near_distance(&self, point: DVec3, a: Label, b: Label) -> Option<(f64, DVec3)> {
+        let (distance, normal) = self.smooth_difference(point, a, b)?;
+        Some((distance.clamp(-LONGEST_DISTANCE, LONGEST_DISTANCE) + self.offset(a, b), normal))
     }
 
     /// The distance from the smooth distances of both labels, and the unit normal. A label that is thin or has an edge here
