@@ -89,6 +89,7 @@ use crate::index::{Label, VertexId};
 use crate::mesh::mixed_mesh::MixedMesh;
 use crate::mesh::sizing::Sizing;
 use crate::mesh::surface_mesh::{PatchRole, SurfaceMesh};
+use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
 
 /// Meshes the regions that a surface bounds.
@@ -168,36 +169,36 @@ fn first_recovered<T>(mut attempt: impl FnMut(usize) -> Result<T>) -> Result<T> 
     attempt(MOST_ATTEMPTS - 1)
 }
 
-/// The mesh of the points and of corners around them, with the surface in it, and the Steiner points in its volume.
-fn recovered_mesh(
+/// The Delaunay mesh of the points and of corners around them, from which every attempt at recovery starts.
+fn enclosed_mesh(
     checked: &CheckedSurface,
-    (options, order): (&Options, EdgeOrder),
+    options: &Options,
     context: &RunContext,
     report: &mut Report,
-) -> Result<(ConstrainedMesh, Vec<VertexId>)> {
+) -> Result<TetComplex> {
     let clock = Instant::now();
     let mut points = checked.points.clone();
     points.extend(enclosure::enclosing_corners(&checked.points));
-    let delaunay = tetrahedralize(&points, &delaunay_options(options), context)?;
+    let complex = tetrahedralize(&points, &delaunay_options(options), context)?.complex;
     report.delaunay_seconds = clock.elapsed().as_secs_f64();
-    report.delaunay_tets = delaunay.complex.finite_tets().count();
+    report.delaunay_tets = complex.finite_tets().count();
     context.progress("boundary recovery", 0.1);
-    let recovery = &mut report.recovery;
-    let mut mesh = recover(delaunay.complex, &checked.facets, (options, order), context, recovery)?;
-    let volume = restore_surface(&mut mesh, options, context, recovery)?;
-    Ok((mesh, volume))
+    Ok(complex)
 }
 
 /// The mesh with the surface in it, and the Steiner points that have to stay in its regions, recovered in one order.
 fn mesh_in_order(
-    (surface, checked): (&SurfaceMesh, &CheckedSurface),
+    (surface, checked, delaunay): (&SurfaceMesh, &CheckedSurface, &TetComplex),
     (options, order): (&Options, EdgeOrder),
     context: &RunContext,
     report: &mut Report,
 ) -> Result<(ConstrainedMesh, Vec<VertexId>)> {
     let (mut mesh, volume) = first_recovered(|deeper| {
         let options = Options { recursion_depth: options.recursion_depth + deeper, ..options.clone() };
-        recovered_mesh(checked, (&options, order), context, report)
+        let recovery = &mut report.recovery;
+        let mut mesh = recover(delaunay.clone(), &checked.facets, (&options, order), context, recovery)?;
+        let volume = restore_surface(&mut mesh, &options, context, recovery)?;
+        Ok((mesh, volume))
     })?;
     let hidden = label_domain(&mesh, surface, &checked.facet_patches, options.domain, context)?;
     let inside = |v: &VertexId| mesh.ball(*v).iter().any(|tet| !hidden.region_of[tet.index()].is_background());
@@ -208,11 +209,13 @@ fn mesh_in_order(
 
 /// As [`mesh_in_order`], in the order that leaves fewer points where edges lock each other.
 fn mesh_with_fewest_points(
-    input: (&SurfaceMesh, &CheckedSurface),
+    (surface, checked): (&SurfaceMesh, &CheckedSurface),
     options: &Options,
     context: &RunContext,
     report: &mut Report,
 ) -> Result<(ConstrainedMesh, Vec<VertexId>)> {
+    let delaunay = enclosed_mesh(checked, options, context, report)?;
+    let input = (surface, checked, &delaunay);
     let (mesh, kept) = mesh_in_order(input, (options, EdgeOrder::Ascending), context, report)?;
     if kept.is_empty() || !is_locked(&report.recovery) {
         return Ok((mesh, kept));
