@@ -44,11 +44,12 @@ pub fn read(path: &Path) -> Result<FileMesh> {
         // Spacings at the point may follow.
         scan.line();
     }
+    let claims = format!("{triangles} triangles, {quads} quadrilaterals and {points} points");
     for face in 0..triangles + quads {
         let corners = if face < triangles { 3 } else { 4 };
         let mut nodes = [0; 4];
         for node in &mut nodes[..corners] {
-            *node = scan.integer()? - 1;
+            *node = face_node(&mut scan, face, &claims)?;
         }
         let rest: Vec<i64> = scan.line().unwrap_or("").split_whitespace().filter_map(|w| w.parse().ok()).collect();
         let id = rest.first().copied().unwrap_or(0) as i32;
@@ -60,7 +61,18 @@ pub fn read(path: &Path) -> Result<FileMesh> {
         }
         mesh.push(if corners == 3 { cell::TRIANGLE } else { cell::QUAD }, nodes[..corners].iter().copied(), id);
     }
+    scan.expect_end(claims)?;
     Ok(mesh)
+}
+
+/// The next corner of a face, from 0.
+fn face_node(scan: &mut TextScan, face: usize, claims: &str) -> Result<i64> {
+    let word = scan.peek().unwrap_or_else(|| "the end of the file".into());
+    if word.parse::<i64>().is_err() {
+        let text: String = word.chars().take(40).collect();
+        return Err(scan.refuse(format!("'{text}' where a corner of face {face} should be; {claims} are claimed")));
+    }
+    Ok(scan.integer()? - 1)
 }
 
 /// Writes a surface.

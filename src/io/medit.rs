@@ -71,6 +71,8 @@ fn read_text(mut scan: TextScan) -> Result<FileMesh> {
     }
     let mut mesh = FileMesh::new();
     let mut ended = false;
+    // The block that was read last, for messages.
+    let mut last = (String::new(), 0);
     while let Some(word) = scan.word().map(str::to_owned) {
         match word.as_str() {
             "MeshVersionFormatted" => {
@@ -84,6 +86,7 @@ fn read_text(mut scan: TextScan) -> Result<FileMesh> {
             }
             "Vertices" => {
                 let count = scan.count("vertices", 8)?;
+                last = ("Vertices".to_owned(), count);
                 for number in 0..count {
                     mesh.points.push(scan.point_of(number, count)?);
                     scan.integer()?;
@@ -91,14 +94,16 @@ fn read_text(mut scan: TextScan) -> Result<FileMesh> {
             }
             "End" => {
                 ended = true;
-                break;
+                scan.expect_end(format!("{} vertices and {} elements", mesh.points.len(), mesh.types.len()))?;
             }
             keyword => match BLOCKS.iter().find(|b| b.keyword == keyword) {
-                Some(block) => read_cells(&mut scan, block, &mut mesh)?,
+                Some(block) => last = (keyword.to_owned(), read_cells(&mut scan, block, &mut mesh)?),
                 None if keyword.starts_with(|c: char| c.is_ascii_alphabetic()) => skip_numbers(&mut scan),
                 None => {
                     let text: String = keyword.chars().take(40).collect();
-                    return Err(scan.refuse(format!("'{text}' where a keyword should be: more rows than claimed")));
+                    let (block, count) = last;
+                    return Err(scan
+                        .refuse(format!("'{text}' where a keyword should be: more than the {count} {block} claimed")));
                 }
             },
         }
@@ -109,17 +114,23 @@ fn read_text(mut scan: TextScan) -> Result<FileMesh> {
     Ok(mesh)
 }
 
-fn read_cells(scan: &mut TextScan, block: &Block, mesh: &mut FileMesh) -> Result<()> {
+/// Reads a block of cells; their number.
+fn read_cells(scan: &mut TextScan, block: &Block, mesh: &mut FileMesh) -> Result<usize> {
     let count = scan.count(block.keyword, 2 * (block.order.len() + 1))?;
     let mut row = [0; 10];
-    for _ in 0..count {
+    for number in 0..count {
+        if scan.peek().is_none_or(|word| word.parse::<i64>().is_err()) {
+            let text: String = scan.peek().unwrap_or_else(|| "the end of the file".into()).chars().take(40).collect();
+            let keyword = block.keyword;
+            return Err(scan.refuse(format!("'{text}' where row {number} should begin; {count} {keyword} are claimed")));
+        }
         for &place in block.order {
             row[place] = scan.integer()? - 1;
         }
         let tag = scan.integer()? as i32;
         mesh.push(block.vtk_type, row[..block.order.len()].iter().copied(), tag);
     }
-    Ok(())
+    Ok(count)
 }
 
 /// Goes to the next keyword.
@@ -195,9 +206,12 @@ impl Binary<'_> {
         loop {
             let code = self.int()? as i32;
             if code == END {
-                return Ok(mesh);
+                // The place of a next block may be left out.
+                self.at = self.bytes.len().min(self.at + if self.version >= 3 { 8 } else { 4 });
+                return self.ended(mesh);
             }
             let next = self.place()?;
+            let mut row_bytes = None;
             match code {
                 DIMENSION => {
                     let dimension = self.int()?;
@@ -207,6 +221,7 @@ impl Binary<'_> {
                 }
                 VERTICES => {
                     let real = if self.version == 1 { 4 } else { 8 };
+                    row_bytes = Some(3 * real + word);
                     for _ in 0..self.count(3 * real + word)? {
                         let point = DVec3::new(self.real()?, self.real()?, self.real()?);
                         mesh.points.push(point);
@@ -215,17 +230,37 @@ impl Binary<'_> {
                 }
                 code => {
                     if let Some(block) = BLOCKS.iter().find(|b| b.code == code) {
+                        row_bytes = Some((block.order.len() + 1) * word);
                         self.read_cells(block, word, &mut mesh)?;
                     }
                 }
             }
             match usize::try_from(next) {
+                Ok(0) if row_bytes.is_some() => return self.ended(mesh),
                 Ok(0) => return Ok(mesh),
+                // Less than a row may be padding.
+                Ok(next) if row_bytes.is_some_and(|row| next >= self.at + row && next <= self.bytes.len()) => {
+                    let (points, elements) = (mesh.points.len(), mesh.types.len());
+                    let rest = next - self.at;
+                    let text = format!("{rest} bytes more in a block than its rows take");
+                    return Err(self.refuse(format!("{text}; {points} points and {elements} elements so far")));
+                }
                 // Each block lies behind the last, so the chain ends.
                 Ok(next) if next >= self.at && next <= self.bytes.len() => self.at = next,
                 _ => return Err(self.refuse(format!("the next block is said to be at byte {next}"))),
             }
         }
+    }
+
+    /// The mesh, where nothing but padding follows.
+    fn ended(&self, mesh: FileMesh) -> Result<FileMesh> {
+        let rest = &self.bytes[self.at..];
+        if rest.iter().all(|&b| b == 0) {
+            return Ok(mesh);
+        }
+        let (points, elements) = (mesh.points.len(), mesh.types.len());
+        let claims = format!("{points} points and {elements} elements");
+        Err(self.refuse(format!("{} bytes behind the end: more than the {claims} claimed", rest.len())))
     }
 
     fn read_cells(&mut self, block: &Block, word: usize, mesh: &mut FileMesh) -> Result<()> {

@@ -10,6 +10,8 @@
 
 mod aflr;
 mod atomic_file;
+#[cfg(test)]
+mod count_tests;
 mod file_mesh;
 mod gmsh_reader;
 mod gmsh_writer;

@@ -68,10 +68,23 @@ pub fn read(path: &Path) -> Result<FileMesh> {
     let room = (bytes.len() - HEADER_BYTES) / TRIANGLE_BYTES;
     let whole = u64::from(count) * TRIANGLE_BYTES as u64 + HEADER_BYTES as u64;
     if whole <= bytes.len() as u64 {
-        // Some programs append remarks.
-        return Ok(read_binary(&bytes[..whole as usize]));
+        let (triangles, rest) = bytes.split_at(whole as usize);
+        if is_remark(rest) {
+            return Ok(read_binary(triangles));
+        }
+        let text = format!("byte {whole}: more than the {count} triangles claimed; the file holds {room}");
+        return Err(Error::format(path, text));
     }
     Err(Error::format(path, format!("byte 80: {count} triangles are claimed, the file holds {room}")))
+}
+
+/// Whether what follows the triangles is padding or text. The format knows neither, but some programs append them; less
+/// than a triangle cannot be a row that was not counted.
+fn is_remark(rest: &[u8]) -> bool {
+    let begin = rest.iter().position(|&b| b != 0).unwrap_or(rest.len());
+    let end = rest.iter().rposition(|&b| b != 0).map_or(begin, |last| last + 1);
+    let is_text = |b: &u8| b.is_ascii_graphic() || b.is_ascii_whitespace();
+    rest.len() < TRIANGLE_BYTES || rest[begin..end].iter().all(is_text)
 }
 
 fn read_binary(bytes: &[u8]) -> FileMesh {
@@ -206,5 +219,31 @@ mod tests {
         std::fs::write(&path, text).unwrap();
         let surface = crate::io::read_surface(&path).unwrap();
         assert_eq!((surface.points.len(), surface.facets.len()), (4, 2));
+    }
+
+    #[test]
+    fn bytes_behind_the_counted_triangles_are_padding_or_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("two.stl");
+        let mut triangle: Vec<u8> =
+            [0.0_f32, 0., 1., 0., 0., 0., 2., 0., 0., 0., 2., 0.].map(f32::to_le_bytes).concat();
+        triangle.extend([0, 0]);
+        let mut file = vec![b' '; 80];
+        file.extend(1_u32.to_le_bytes());
+        file.extend(&triangle);
+        let read = |rest: &[u8]| {
+            std::fs::write(&path, [&file[..], rest].concat()).unwrap();
+            super::read(&path)
+        };
+        for rest in [
+            &[][..],
+            &[0; 512],
+            &[7; 49],
+            &[&b"exported by a program that likes to say who it is"[..], b", twice\n"].concat(),
+        ] {
+            assert_eq!(read(rest).unwrap().types.len(), 1);
+        }
+        let refused = read(&triangle).map(|_| ()).unwrap_err().to_string();
+        assert!(refused.contains("more than the 1 triangles claimed") && refused.contains("holds 2"), "{refused}");
     }
 }

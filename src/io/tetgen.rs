@@ -41,6 +41,7 @@ pub fn read(path: &Path, lists: FacetLists) -> Result<FileMesh> {
     if mesh.points.is_empty() {
         let mut nodes = TextScan::open(&path.with_extension("node"), b'#')?;
         base = read_points(&mut nodes, &mut mesh)?;
+        nodes.expect_end(format!("{} points", mesh.points.len()))?;
     }
     let facets = scan.count("facets", 4)?;
     let marked = scan.line().and_then(|l| l.split_whitespace().next()?.parse::<i64>().ok()).unwrap_or(0) != 0;
@@ -54,7 +55,9 @@ pub fn read(path: &Path, lists: FacetLists) -> Result<FileMesh> {
             }
         }
     }
-    read_holes_and_regions(&mut scan, &mut mesh)?;
+    read_holes_and_regions(&mut scan, &mut mesh, facets)?;
+    let (points, holes, regions) = (mesh.points.len(), mesh.holes.len(), mesh.regions.len());
+    scan.expect_end(format!("{points} points, {facets} facets, {holes} holes and {regions} regions"))?;
     Ok(mesh)
 }
 
@@ -143,12 +146,27 @@ fn read_facet(scan: &mut TextScan, mesh: &mut FileMesh, base: i64) -> Result<()>
     Ok(())
 }
 
-fn read_holes_and_regions(scan: &mut TextScan, mesh: &mut FileMesh) -> Result<()> {
+fn read_holes_and_regions(scan: &mut TextScan, mesh: &mut FileMesh, facets: usize) -> Result<()> {
     if scan.at_end() {
         return Ok(());
     }
-    for _ in 0..scan.count("holes", 6)? {
-        scan.integer()?;
+    // The number of holes stands alone on its line; a row of numbers is one more facet.
+    let begin = scan.position();
+    let row = scan.line().unwrap_or("").to_owned();
+    if row.split_whitespace().count() > 1 && row.split_whitespace().all(|word| word.parse::<f64>().is_ok()) {
+        scan.seek(begin);
+        let text: String = row.chars().take(40).collect();
+        return Err(scan.refuse(format!("'{text}' behind the last facet: more than the {facets} facets claimed")));
+    }
+    scan.seek(begin);
+    let holes = scan.count("holes", 6)?;
+    for _ in 0..holes {
+        // Holes are numbered from 0 or 1; the row of a polygon begins with three corners or more.
+        let number = scan.integer()?;
+        if !(0..=holes as i64).contains(&number) {
+            let text = format!("'{number}' where the number of one of {holes} holes should be");
+            return Err(scan.refuse(format!("{text}, or more than the {facets} facets claimed")));
+        }
         mesh.holes.push(scan.point()?);
     }
     if scan.at_end() {

@@ -112,6 +112,20 @@ impl TextScan {
         Some(std::str::from_utf8(&line[..stop.unwrap_or(line.len())]).unwrap_or("").trim())
     }
 
+    /// Refuses what follows the last row that the file claims.
+    ///
+    /// # Errors
+    /// [`Error::Format`] with the line, what stands there, and `claims`, the counts that are wrong then.
+    pub fn expect_end(&mut self, claims: impl std::fmt::Display) -> Result<()> {
+        match self.peek() {
+            None => Ok(()),
+            Some(word) => {
+                let text: String = word.chars().take(40).collect();
+                Err(self.refuse(format!("'{text}' where the file should end: more than the {claims} claimed")))
+            }
+        }
+    }
+
     /// Whether only white space and comments follow.
     pub fn at_end(&mut self) -> bool {
         self.skip_space();

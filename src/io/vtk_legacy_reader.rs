@@ -23,6 +23,8 @@ struct Legacy {
     mesh: FileMesh,
     types: Vec<i64>,
     grid: bool,
+    /// The counts of the section that is read, for messages.
+    claims: String,
 }
 
 /// What an attribute section stands for.
@@ -62,7 +64,7 @@ pub fn read(path: &Path) -> Result<FileMesh> {
         return Err(scan.refuse(format!("a data set of kind {kind}; UNSTRUCTURED_GRID and POLYDATA are read")));
     }
     let grid = kind == "UNSTRUCTURED_GRID";
-    let mut legacy = Legacy { scan, text, new_cells: major >= 5, mesh, types: Vec::new(), grid };
+    let mut legacy = Legacy { scan, text, new_cells: major >= 5, mesh, types: Vec::new(), grid, claims: String::new() };
     legacy.read_body()?;
     let mut mesh = legacy.finish()?;
     mesh.adopt_tags();
@@ -78,14 +80,18 @@ impl Legacy {
                 "CELLS" => self.read_cells(cell::POLYGON)?,
                 "CELL_TYPES" => {
                     let count = self.scan.count("cell types", if self.text { 2 } else { 4 })?;
+                    self.claims = format!("{count} cell types");
                     self.types = self.integers("int", count)?;
                 }
                 "VERTICES" => self.read_cells(0)?,
                 "LINES" => self.read_cells(cell::LINE)?,
                 "POLYGONS" => self.read_cells(cell::POLYGON)?,
                 "TRIANGLE_STRIPS" => self.read_cells(cell::TRIANGLE_STRIP)?,
-                "POINT_DATA" => rows = Rows::Points(self.scan.count("point data", 0)?),
-                "CELL_DATA" => rows = Rows::Cells(self.scan.count("cell data", 0)?),
+                "POINT_DATA" | "CELL_DATA" => {
+                    let count = self.scan.count("rows of data", 0)?;
+                    self.claims = format!("{count} rows of data");
+                    rows = if word == "POINT_DATA" { Rows::Points(count) } else { Rows::Cells(count) };
+                }
                 "METADATA" => self.skip_metadata(),
                 _ => self.read_attribute(&word, rows)?,
             }
@@ -95,6 +101,7 @@ impl Legacy {
 
     fn read_points(&mut self) -> Result<()> {
         let count = self.scan.count("points", 6)?;
+        self.claims = format!("{count} points");
         let kind = self.word("the type of the points")?;
         let values = self.reals(&kind, 3 * count)?;
         self.mesh.points = values.chunks_exact(3).map(DVec3::from_slice).collect();
@@ -111,6 +118,7 @@ impl Legacy {
     fn read_cells(&mut self, kind: u8) -> Result<()> {
         let rows = self.scan.count("cells", 1)?;
         let entries = self.scan.count("cell entries", 1)?;
+        self.claims = format!("{rows} cells with {entries} entries");
         if self.new_cells {
             if rows == 0 {
                 return Ok(());
@@ -128,6 +136,12 @@ impl Legacy {
                 };
                 self.push(kind, nodes.to_vec());
             }
+            let end = offsets.last().copied().unwrap_or(0);
+            if end != entries as i64 {
+                return Err(self
+                    .scan
+                    .refuse(format!("more than the {end} entries of the cells: {entries} are claimed")));
+            }
             return Ok(());
         }
         let values = self.integers("int", entries)?;
@@ -135,10 +149,16 @@ impl Legacy {
         for i in 0..rows {
             let length = values.get(at).and_then(|&n| usize::try_from(n).ok());
             let Some(nodes) = length.and_then(|n| values.get(at + 1..at + 1 + n)) else {
-                return Err(self.scan.refuse(format!("cell {i} is longer than the list of cells")));
+                let claims = &self.claims;
+                return Err(self.scan.refuse(format!("cell {i} is longer than the list; {claims} are claimed")));
             };
             at += 1 + nodes.len();
             self.push(kind, nodes.to_vec());
+        }
+        if at != entries {
+            return Err(self
+                .scan
+                .refuse(format!("more than the {at} entries of the cells: {} are claimed", self.claims)));
         }
         Ok(())
     }
@@ -167,7 +187,7 @@ impl Legacy {
             if keyword == "FIELD" {
                 return self.read_field(rows);
             }
-            return Err(self.scan.refuse(format!("keyword '{}'", keyword.chars().take(40).collect::<String>())));
+            return Err(self.no_keyword(keyword));
         };
         if keyword == "FIELD" {
             return self.read_field(rows);
@@ -205,11 +225,38 @@ impl Legacy {
                 return self.values(kind, n.saturating_mul(4)).map(|_| ());
             }
             "GLOBAL_IDS" | "PEDIGREE_IDS" => (1, self.word("a type")?),
-            _ => return Err(self.scan.refuse(format!("keyword '{}'", keyword.chars().take(40).collect::<String>()))),
+            _ => return Err(self.no_keyword(keyword)),
         };
         let data = self.values(&kind, count.saturating_mul(components))?;
         self.keep(rows, NamedArray { name, components, data });
         Ok(())
+    }
+
+    /// A word that begins no section: a number is one more than the counts say.
+    fn no_keyword(&self, word: &str) -> Error {
+        let text: String = word.chars().take(40).collect();
+        if word.parse::<f64>().is_ok() && !self.claims.is_empty() {
+            return self
+                .scan
+                .refuse(format!("'{text}' where a keyword should be: more than the {} claimed", self.claims));
+        }
+        self.scan.refuse(format!("keyword '{text}'"))
+    }
+
+    /// Numbers as text; where they end too early, the counts are named.
+    fn numbers<T: std::str::FromStr>(&mut self, count: usize, what: &str) -> Result<Vec<T>> {
+        let mut values = Vec::with_capacity(count);
+        for number in 0..count {
+            let word = self.scan.word().unwrap_or("the end of the file");
+            let Ok(value) = word.parse() else {
+                let text: String = word.chars().take(40).collect();
+                let claims = &self.claims;
+                let text = format!("'{text}' is not {what}: value {number} of {count}; {claims} are claimed");
+                return Err(self.scan.refuse(text));
+            };
+            values.push(value);
+        }
+        Ok(values)
     }
 
     fn read_field(&mut self, rows: Rows) -> Result<()> {
@@ -274,9 +321,9 @@ impl Legacy {
         self.scan.believable(count as i64, "values", if self.text { 2 } else { width })?;
         if self.text {
             return if real {
-                (0..count).map(|_| self.scan.real()).collect::<Result<_>>().map(ArrayData::Real)
+                self.numbers(count, "a number").map(ArrayData::Real)
             } else {
-                (0..count).map(|_| self.scan.integer()).collect::<Result<_>>().map(ArrayData::Long)
+                self.numbers(count, "a whole number").map(ArrayData::Long)
             };
         }
         // Bytes begin behind the end of the keyword's line.
@@ -285,7 +332,9 @@ impl Legacy {
         }
         let begin = self.scan.position() + 1;
         let Some(bytes) = self.scan.bytes().get(begin..begin + count * width) else {
-            return Err(self.scan.refuse(format!("the file ends before {count} values of type {kind}")));
+            let claims = &self.claims;
+            let text = format!("the file ends before {count} values of type {kind}; {claims} are claimed");
+            return Err(self.scan.refuse(text));
         };
         let data = convert(kind, bytes);
         self.scan.seek(begin + count * width);
