@@ -55,6 +55,8 @@ const END_SHARE: f64 = 0.05;
 const MIDDLE_SHARE: f64 = 0.5;
 /// Edges looked at after a point was put in place, at first.
 const SHORT_TRIES: usize = 20;
+/// Edges looked at in later passes: 150 take a tenth more time on Chazelle's polyhedra and leave as many points.
+const LONG_TRIES: usize = 50;
 /// Halvings of the way by which a point leaves a face.
 const MOST_HALVINGS: i32 = 40;
 
@@ -71,7 +73,7 @@ pub fn unlock_edges(
     // A point that opens a knot mostly shows it at once; what resists gets the whole effort.
     let short = Effort { tries: effort.tries.min(SHORT_TRIES), tets: 0, everywhere: false, ..*effort };
     // Searches for fillings leave no fewer points.
-    let long = Effort { tets: 0, ..*effort };
+    let long = Effort { tries: effort.tries.min(LONG_TRIES), tets: 0, ..*effort };
     for pass in 0..MOST_PASSES {
         let before = missing.len();
         let mut left = Vec::new();
