@@ -57,6 +57,7 @@ pub mod scaffold;
 pub mod short_edges;
 pub mod smooth_distance;
 pub mod smoothing;
+pub mod stray_voxels;
 pub mod subdivision_criteria;
 pub mod subvoxel_surface;
 pub mod surface_approach;
