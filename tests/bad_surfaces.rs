@@ -218,10 +218,11 @@ fn indices_and_counts_that_cannot_be_are_refused() {
     let claimed = |points, triangles| Shape { claimed_points: points, claimed_triangles: triangles, ..cube() };
     // Rows of numbers do not show where points end; what is wrong is the claim, so that it is named.
     let less = |kept: &[&str]| -> Vec<&'static str> { FORMATS.into_iter().filter(|f| !kept.contains(f)).collect() };
-    let shown = ["a.off", "a.ply", "a.mesh", "a.poly", "a.smesh", "a.vtp"];
+    let shown = ["a.off", "a.ply", "a.vtk", "a.mesh", "a.poly", "a.smesh", "a.vtp"];
     all_end(&claimed(Some(9), None), 3, "9 points", "9 points claimed", &less(&shown));
-    all_end(&claimed(Some(7), None), 3, "7 points", "7 points claimed", &less(&["a.off", "a.ply", "a.vtp"]));
-    all_end(&claimed(None, Some(11)), 3, "more", "11 triangles claimed", &less(&["a.off", "a.ply", "a.mesh"]));
+    all_end(&claimed(Some(7), None), 3, "7 points", "7 points claimed", &less(&["a.off", "a.ply", "a.vtk", "a.vtp"]));
+    let unseen = ["ascii.stl", "a.obj", "a.vtp"];
+    all_end(&claimed(None, Some(11)), 3, "more", "11 triangles claimed", &unseen);
     for points in [7, 9, 1 << 31, -3] {
         let without = ["ascii.stl", "a.obj", "binary.stl"];
         all_end(&claimed(Some(points), None), 3, "a.", &format!("{points} points claimed"), &without);
