@@ -150,15 +150,7 @@ fn read_holes_and_regions(scan: &mut TextScan, mesh: &mut FileMesh, facets: usiz
     if scan.at_end() {
         return Ok(());
     }
-    // The number of holes stands alone on its line; a row of numbers is one more facet.
-    let begin = scan.position();
-    let row = scan.line().unwrap_or("").to_owned();
-    if row.split_whitespace().count() > 1 && row.split_whitespace().all(|word| word.parse::<f64>().is_ok()) {
-        scan.seek(begin);
-        let text: String = row.chars().take(40).collect();
-        return Err(scan.refuse(format!("'{text}' behind the last facet: more than the {facets} facets claimed")));
-    }
-    scan.seek(begin);
+    expect_lone_number(scan, &format!("{facets} facets"))?;
     let holes = scan.count("holes", 6)?;
     for _ in 0..holes {
         // Holes are numbered from 0 or 1; the row of a polygon begins with three corners or more.
@@ -172,11 +164,24 @@ fn read_holes_and_regions(scan: &mut TextScan, mesh: &mut FileMesh, facets: usiz
     if scan.at_end() {
         return Ok(());
     }
+    expect_lone_number(scan, &format!("{facets} facets and {holes} holes"))?;
     for _ in 0..scan.count("regions", 6)? {
         scan.integer()?;
         let point = scan.point()?;
         let rest: Vec<f64> = scan.line().unwrap_or("").split_whitespace().map_while(|w| w.parse().ok()).collect();
         mesh.regions.push(region(point, &rest));
+    }
+    Ok(())
+}
+
+/// The numbers of holes and of regions stand alone on their lines: a row of numbers there is one more of what came before.
+fn expect_lone_number(scan: &mut TextScan, claims: &str) -> Result<()> {
+    let begin = scan.position();
+    let row = scan.line().unwrap_or("").to_owned();
+    scan.seek(begin);
+    if row.split_whitespace().count() > 1 && row.split_whitespace().all(|word| word.parse::<f64>().is_ok()) {
+        let text: String = row.chars().take(40).collect();
+        return Err(scan.refuse(format!("'{text}' where a number stands alone: more than the {claims} claimed")));
     }
     Ok(())
 }
