@@ -230,8 +230,9 @@ impl Clipping {
         }
         let relabels = &self.relabels;
         let is_within = |changed: &[u32]| changed.iter().all(|e| !is_beyond[*e as usize]);
-        let may_take =
-            |_: &[Label], changed: &[u32], _: Label| is_within(changed) && changed.iter().all(|e| relabels[*e as usize]);
+        let may_take = |_: &[Label], changed: &[u32], _: Label| {
+            is_within(changed) && changed.iter().all(|e| relabels[*e as usize])
+        };
         relabel_for_smoothing(&mut self.labels, &continued, may_take);
         let topology = InterfaceTopology::new(&self.tets, &neighbors, self.points.len());
         topology.repair(&mut self.labels, None, |labels, changed, to| may_take(labels, changed, to).then_some(0));
