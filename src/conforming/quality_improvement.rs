@@ -18,8 +18,9 @@
 //!
 //! At the end, tets with faces that finite-volume solvers find skew get all operations under a measure that counts
 //! skewness: needles on a small triangle may lean far while their angles are good. Around what may not stay even then,
-//! iterated local search goes on (`region_search`); at last, for tets off the boundary that are still bad, whatever becomes
-//! of those at it, and where it finds nothing, annealing (`region_annealing`).
+//! iterated local search goes on (`region_search`); then, for tets off the boundary that are still bad, whatever becomes
+//! of those at it, and where it finds nothing, annealing (`region_annealing`); at last annealing around the slivers that the
+//! boundary does not force.
 //!
 //! # Source
 //! [Drakopoulos2017] 4.9; B.3 `nqual`, `nqualf`, `angqual`, `angqmsk`, `angqmax`, `mrecqm`, `mrecqmf`, `ordtq`, `mdfs`, `ndfs`,
@@ -71,6 +72,8 @@ const LAST_ROUNDS: usize = 12;
 const OFF_ROUNDS: usize = 8;
 /// Most regions annealed: enough for sixteen of nineteen of Chazelle's polyhedra; twelve of these with 16 at one temperature.
 const MOST_ANNEALINGS: usize = 24;
+/// Most regions annealed one after the other for slivers without fewer of them: two at each temperature.
+const MOST_IN_VAIN: usize = 6;
 /// Most rounds over the tets with skew faces, at the end.
 const SKEW_ROUNDS: usize = 6;
 /// Angles that the rounds over the worst tets aim at, degrees: beyond what users ask for, so that they get it.
@@ -540,22 +543,28 @@ impl Improver<'_> {
         self.treat_unforced_slivers(complex, sizes)
     }
 
+    /// The slivers that the boundary does not force and that do not crowd.
+    fn unforced_slivers(&mut self, complex: &mut TetComplex) -> Vec<TetId> {
+        // No sliver has a better grade: large angles weigh more.
+        let limit = SLIVER_DEGREES.to_radians().sin();
+        let mut bad = self.known.tets_below(complex, self.context, &Scope::default(), limit);
+        bad.retain(|&tet| sliver_cosine(complex.points_of(tet)).is_some());
+        let mut crowded = crowded_slivers(complex, &bad).into_iter();
+        bad.retain(|&tet| crowded.next() == Some(false) && !is_forced_sliver(complex, tet));
+        bad
+    }
+
     /// All operations, and the reconnection of small polyhedra, at the slivers that the boundary does not force, while tets on
     /// its needles count as better than they are: what is forced bounds no other tet then.
     fn treat_unforced_slivers(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>) -> Result<()> {
         if !self.options.delete_field_slivers {
             return Ok(());
         }
-        // No sliver has a better grade: large angles weigh more.
-        let limit = SLIVER_DEGREES.to_radians().sin();
         let goal = BiasedSine::grade_of_angles(WORST_GOAL.0, WORST_GOAL.1);
         let mut needles: Option<NeedleFaces> = None;
         for _ in 0..LAST_ROUNDS {
             self.context.check()?;
-            let mut bad = self.known.tets_below(complex, self.context, &Scope::default(), limit);
-            bad.retain(|&tet| sliver_cosine(complex.points_of(tet)).is_some());
-            let mut crowded = crowded_slivers(complex, &bad).into_iter();
-            bad.retain(|&tet| crowded.next() == Some(false) && !is_forced_sliver(complex, tet));
+            let bad = self.unforced_slivers(complex);
             if bad.is_empty() {
                 break;
             }
@@ -598,7 +607,32 @@ impl Improver<'_> {
             }
         }
         let more = self.treat_off_boundary(complex, sizes)?;
+        self.anneal_slivers(complex, sizes, &mut search)?;
         Ok([0, 1].map(|i| search.counts[i] + more[i]))
+    }
+
+    /// Anneals the regions around the slivers that the boundary does not force and that even the search has left.
+    fn anneal_slivers(
+        &mut self,
+        complex: &mut TetComplex,
+        sizes: &mut Vec<f64>,
+        search: &mut RegionSearch,
+    ) -> Result<()> {
+        let mut in_vain = 0;
+        while in_vain < MOST_IN_VAIN {
+            let bad = self.unforced_slivers(complex);
+            if bad.is_empty() {
+                break;
+            }
+            // One after the other: what betters one may have taken others away.
+            for tet in bad {
+                if in_vain < MOST_IN_VAIN && complex.is_live(tet) {
+                    let helped = search.anneal(complex, sizes, self.on_boundary, tet)?;
+                    in_vain = if helped { 0 } else { in_vain + 1 };
+                }
+            }
+        }
+        Ok(())
     }
 
     /// The tets off the boundary that are beyond the angles demanded.
@@ -617,14 +651,7 @@ impl Improver<'_> {
         let mut search = RegionSearch::new(self.options, self.context, goal, Aim::OffBoundary);
         let mut annealings = 0;
         for _ in 0..LAST_ROUNDS + MOST_ANNEALINGS {
-            for _ in 0..OFF_ROUNDS {
-                self.context.check()?;
-                let bad = self.bad_off_boundary(complex);
-                let treatment = Treatment::off_boundary(goal);
-                if bad.is_empty() || self.driver.treat(complex, sizes, self.on_boundary, bad, &treatment)? == 0 {
-                    break;
-                }
-            }
+            self.operate_off_boundary(complex, sizes, goal)?;
             let before = search.counts[1];
             for tet in self.bad_off_boundary(complex) {
                 while complex.is_live(tet) && search.search(complex, sizes, self.on_boundary, (tet, DEPTHS[1]))? {}
@@ -632,18 +659,45 @@ impl Improver<'_> {
             if search.counts[1] > before {
                 continue;
             }
-            let bad = self.bad_off_boundary(complex);
-            if bad.is_empty() || annealings == MOST_ANNEALINGS {
+            let annealed = self.anneal_off_boundary(complex, sizes, &mut search, MOST_ANNEALINGS - annealings)?;
+            if annealed == 0 {
                 break;
             }
-            for tet in bad {
-                if annealings < MOST_ANNEALINGS && complex.is_live(tet) {
-                    annealings += 1;
-                    search.anneal(complex, sizes, self.on_boundary, tet)?;
-                }
-            }
+            annealings += annealed;
         }
         Ok(search.counts)
+    }
+
+    /// All operations at the tets off the boundary beyond the angles demanded, while they help.
+    fn operate_off_boundary(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>, goal: f64) -> Result<()> {
+        for _ in 0..OFF_ROUNDS {
+            self.context.check()?;
+            let bad = self.bad_off_boundary(complex);
+            let treatment = Treatment::off_boundary(goal);
+            if bad.is_empty() || self.driver.treat(complex, sizes, self.on_boundary, bad, &treatment)? == 0 {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Anneals the regions around the tets off the boundary beyond the angles demanded, `most` of them; how many there were.
+    fn anneal_off_boundary(
+        &mut self,
+        complex: &mut TetComplex,
+        sizes: &mut Vec<f64>,
+        search: &mut RegionSearch,
+        most: usize,
+    ) -> Result<usize> {
+        let mut annealed = 0;
+        for tet in self.bad_off_boundary(complex) {
+            // The tet may be gone, or another in its place, by the annealings before.
+            if annealed < most && complex.is_live(tet) {
+                annealed += 1;
+                search.anneal(complex, sizes, self.on_boundary, tet)?;
+            }
+        }
+        Ok(annealed)
     }
 
     /// Points in edges that are far too long: where walls are close, removals of edges and vertices for the sake of angles

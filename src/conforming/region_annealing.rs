@@ -1,13 +1,13 @@
-//! Simulated annealing of a small region, for the sake of tets off the boundary: operations at random, worse ones too.
+//! Simulated annealing of a small region, for the sake of tets that may not stay: operations at random, worse ones too.
 //!
 //! # Method
-//! 1. A tet that is beyond the demanded angles is chosen, or one near it, or any; one of its faces, edges or vertices gets an
+//! 1. A tet that is beyond what may stay is chosen, or one near it, or any; one of its faces, edges or vertices gets an
 //!    operation: flip 2-3, removal of an edge, a move, a contraction or an insertion.
 //! 2. The operation is carried out where what its tets cost falls, or grows by less than chance and the temperature allow.
 //! 3. The temperature falls; the state with the fewest such tets, and the least cost among these, is kept.
 //!
 //! A tet off the boundary beyond the demanded angles costs most; one at the boundary little, with the logarithm of its grade: it
-//! only has to stay valid.
+//! only has to stay valid. Where slivers are to go ([`Aim::FewerBad`]), those cost as much.
 //!
 //! # Source
 //! [KirkpatrickGelattVecchi1983].
@@ -26,12 +26,15 @@ use super::flips::{
     Accept, Feature, FlipScratch, Outcome, commit, plan_23, plan_contraction, plan_edge_removal, plan_insertion,
     touches_constraint,
 };
-use super::region_search::grade_off_boundary;
+use super::forced_slivers::sliver_cosine;
+use super::region_search::{Aim, grade_off_boundary};
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::geometry::predicates::orient3d;
+use crate::geometry::spatial_sort::mix;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::{TET_EDGES, TET_FACES};
+use crate::mesh::quality::SLIVER_DEGREES;
 use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
 use crate::mesh::topology::{ShellTet, collect_ball};
@@ -41,6 +44,8 @@ const STEPS: usize = 200_000;
 /// Temperatures at the beginning, in turns, and at the end: a tet beyond the angles costs one and more. Of seven of Chazelle's
 /// polyhedra where 0.6 leaves a tet, 2 and 6 help on two to three each, not the same ones.
 const HOTTEST: [f64; 3] = [2.0, 0.6, 6.0];
+/// The same where slivers are to go: as few are left as with the ones above, in a sixth less time on two surfaces.
+const HOTTEST_FOR_SLIVERS: [f64; HOTTEST.len()] = [0.3, 0.6, 1.2];
 const COLDEST: f64 = 0.02;
 /// Steps between two looks for the tets beyond the angles.
 const LOOK_INTERVAL: usize = 64;
@@ -52,8 +57,35 @@ const LACKING: f64 = 0.26;
 const COST_OF_LACK: [f64; 2] = [0.03, 0.2];
 /// What a point costs beside its tets.
 const COST_OF_POINT: f64 = 0.3;
+/// What the words that are mixed differ by, odd and of about as many ones as zeros: the golden ratio's, as SplitMix64 has it.
+const STRIDE: u64 = 0x9e37_79b9_7f4a_7c15;
 /// Shares of the way to a tet of the ball that a vertex moves at most.
 const MOVES: [f64; 4] = [0.05, 0.2, 0.5, 1.0];
+
+/// What a region is annealed for, and what it keeps.
+#[derive(Debug, Clone, Copy)]
+pub struct Annealing<'a> {
+    /// Whether slivers at the boundary are beyond what may stay.
+    pub aim: Aim,
+    /// Which vertices lie on the boundary; those beyond the end do not.
+    pub on_boundary: &'a [bool],
+}
+
+impl Annealing<'_> {
+    fn is_on_boundary(&self, vertex: VertexId) -> bool {
+        self.on_boundary.get(vertex.index()).copied().unwrap_or(false)
+    }
+
+    /// The grade that a tet would need to stay, where it has less.
+    fn limit_beyond(&self, row: &[VertexId; 4], corners: [DVec3; 4]) -> Option<f64> {
+        let is_off = !row.iter().any(|v| self.is_on_boundary(*v));
+        let limit = if is_off { grade_off_boundary() } else { SLIVER_DEGREES.to_radians().sin() };
+        let may_be_beyond = (is_off || self.aim == Aim::FewerBad) && BiasedSine.grade(corners) < limit;
+        // Large angles weigh more in the grade: not all of so low a grade are slivers. Those that walls force count too, so
+        // that no others come on the same walls.
+        (may_be_beyond && (is_off || sliver_cosine(corners).is_some())).then_some(limit)
+    }
+}
 
 /// What tets cost, and how many of them are beyond the demanded angles.
 #[derive(Debug, Clone, Copy, Default, PartialEq, PartialOrd)]
@@ -78,30 +110,23 @@ impl Cost {
 struct State<'a> {
     complex: &'a mut TetComplex,
     sizes: &'a mut Vec<f64>,
-    on_boundary: &'a [bool],
+    annealing: &'a Annealing<'a>,
     temperature: f64,
     /// A vertex without tets, for an insertion.
     spare: Option<VertexId>,
 }
 
 impl State<'_> {
-    fn is_on_boundary(&self, vertex: VertexId) -> bool {
-        self.on_boundary.get(vertex.index()).copied().unwrap_or(false)
-    }
-
     fn cost(&self, row: [VertexId; 4]) -> Cost {
-        let grade = BiasedSine.grade(self.complex.corners(row)).max(f64::MIN_POSITIVE);
-        let lack = (LACKING / grade).ln().max(0.0);
+        let corners = self.complex.corners(row);
+        let grade = BiasedSine.grade(corners).max(f64::MIN_POSITIVE);
+        if let Some(limit) = self.annealing.limit_beyond(&row, corners) {
+            return Cost { beyond: 1, cost: 1.0 + (limit / grade).ln() };
+        }
         let [at_boundary, off_boundary] = COST_OF_LACK;
-        if row.iter().any(|v| self.is_on_boundary(*v)) {
-            return Cost { beyond: 0, cost: at_boundary * lack };
-        }
-        let limit = grade_off_boundary();
-        if grade < limit {
-            Cost { beyond: 1, cost: 1.0 + (limit / grade).ln() }
-        } else {
-            Cost { beyond: 0, cost: off_boundary * lack }
-        }
+        let is_at_boundary = row.iter().any(|v| self.annealing.is_on_boundary(*v));
+        let share = if is_at_boundary { at_boundary } else { off_boundary };
+        Cost { beyond: 0, cost: share * (LACKING / grade).ln().max(0.0) }
     }
 
     fn sum(&self, tets: impl Iterator<Item = TetId>) -> Cost {
@@ -112,30 +137,22 @@ impl State<'_> {
 }
 
 /// Anneals regions.
+#[derive(Default)]
 pub struct Annealer {
     flips: FlipScratch,
     ball: Vec<TetId>,
     /// The tets beyond the angles, at the last look.
     beyond: Vec<TetId>,
-    random: u64,
+    /// Random numbers drawn so far.
+    drawn: u64,
     /// Regions annealed so far.
     count: usize,
 }
 
-impl Default for Annealer {
-    fn default() -> Self {
-        let random = 0x9e37_79b9_7f4a_7c15;
-        Self { flips: FlipScratch::default(), ball: Vec::new(), beyond: Vec::new(), random, count: 0 }
-    }
-}
-
 impl Annealer {
     fn next_random(&mut self, below: usize) -> usize {
-        // xorshift64*: small, and the same everywhere.
-        self.random ^= self.random >> 12;
-        self.random ^= self.random << 25;
-        self.random ^= self.random >> 27;
-        ((self.random.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 33) as usize) % below
+        self.drawn += 1;
+        (mix(self.drawn.wrapping_mul(STRIDE)) >> 33) as usize % below
     }
 
     fn random_share(&mut self) -> f64 {
@@ -155,12 +172,15 @@ impl Annealer {
         &mut self,
         complex: &mut TetComplex,
         sizes: &mut Vec<f64>,
-        on_boundary: &[bool],
+        annealing: &Annealing,
         context: &RunContext,
     ) -> Result<()> {
-        let hottest = HOTTEST[self.count % HOTTEST.len()];
+        let hottest = match annealing.aim {
+            Aim::OffBoundary => HOTTEST,
+            Aim::FewerBad => HOTTEST_FOR_SLIVERS,
+        }[self.count % HOTTEST.len()];
         self.count += 1;
-        let mut state = State { complex, sizes, on_boundary, temperature: hottest, spare: None };
+        let mut state = State { complex, sizes, annealing, temperature: hottest, spare: None };
         let mut now = state.sum(state.complex.finite_tets());
         let mut best = (now, state.complex.clone(), state.sizes.clone());
         let cooling = (COLDEST / hottest).powf(1.0 / STEPS as f64);
@@ -209,7 +229,8 @@ impl Annealer {
 
     /// Tries one operation at a tet; what the region costs more then.
     fn step(&mut self, state: &mut State, tet: TetId) -> Result<Cost> {
-        let measure = StrictInside { angles: BiasedSine, on_boundary: state.on_boundary, relief: Relief::Boundary };
+        let measure =
+            StrictInside { angles: BiasedSine, on_boundary: state.annealing.on_boundary, relief: Relief::Boundary };
         let mut cost_of_points = 0.0;
         let kind = self.next_random(16);
         let outcome = match kind {
@@ -281,8 +302,11 @@ impl Annealer {
         let mut ball = std::mem::take(&mut self.ball);
         collect_ball(state.complex, vertex, tet, &mut ball);
         let is_held = ball.iter().any(|&t| touches_constraint(state.complex, t, vertex));
-        let change =
-            if is_held || state.is_on_boundary(vertex) { Cost::default() } else { self.shift(state, vertex, &ball) };
+        let change = if is_held || state.annealing.is_on_boundary(vertex) {
+            Cost::default()
+        } else {
+            self.shift(state, vertex, &ball)
+        };
         self.ball = ball;
         change
     }
