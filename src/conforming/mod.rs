@@ -16,6 +16,7 @@
 //! ones left out); every facet is a face of the mesh (unless boundary slivers are deleted on demand); no other point lies on the surface.
 
 pub mod assembly;
+pub mod bad_tets;
 pub mod boundary_recovery;
 mod boundary_sizes;
 pub mod boundary_slivers;

@@ -83,7 +83,7 @@ pub fn generate_volume(
     figures.extend(&refine(complex, &mut sizes, &field, options, context)?);
     treat_flat_tets(complex, &mut sizes, options, context)?;
     if options.count_slivers {
-        let slivers = super::quality_improvement::sliver_count(complex, context);
+        let slivers = super::bad_tets::sliver_count(complex, context);
         figures.set("refinement.slivers", slivers as f64);
     }
     if options.quality_passes > 0 {
