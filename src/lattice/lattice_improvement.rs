@@ -26,15 +26,11 @@
 //! The scaffold keeps parts of the surface apart across gaps of background; `surface_crossings` counts what crosses all the
 //! same, for a finding.
 
-use std::collections::BTreeMap;
-
 use glam::DVec3;
 use rayon::prelude::*;
-use rustc_hash::FxHashMap;
 
 use crate::context::RunContext;
 use crate::error::Result;
-use crate::geometry::tetrahedron::volume6;
 use crate::lattice::boundary_targets::SourcePoints;
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::chord_splits::split_chords;
@@ -45,10 +41,11 @@ use crate::lattice::local_transformations::{TransformationCounts, loosen_scaffol
 use crate::lattice::progress_shares;
 use crate::lattice::scaffold::STIFF_SCAFFOLD_ANGLE;
 use crate::lattice::short_edges::contract_short_edges;
-use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
+use crate::lattice::subvoxel_surface::SubvoxelSurface;
 use crate::lattice::surface_approach::approach_surface;
 use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
+use crate::lattice::volume_offsets::update_offsets;
 use crate::lattice::voxel_cleanup::CleanImage;
 
 /// Score that relaxation may spend in each round, degrees. The first rounds bring vertices onto their surface although tets
@@ -133,9 +130,6 @@ const LARGEST_SEARCH: usize = 20_000;
 
 /// Width of a class of tets that are worked on in the order of their numbers, degrees.
 const SCORE_CLASS: f64 = 4.0;
-
-/// Tets, or vertices, per part of a sum.
-const SUM_CHUNK: usize = 1 << 16;
 
 /// Largest offset of a label's surface, in smallest spacings.
 const LARGEST_OFFSET: f64 = 0.5;
@@ -393,79 +387,4 @@ fn raise_low_tets(
         }
     }
     Ok(())
-}
-
-/// Sets the offsets, of `largest` at most, so that each label's volume would become the wanted one.
-fn update_offsets(mesh: &mut ImprovementMesh, wanted: &[f64], largest: f64) {
-    let volumes = volumes_of(mesh, wanted.len());
-    mesh.refresh_stars();
-    let pairs = areas_between(mesh);
-    let mut change = vec![0.0; wanted.len()];
-    // Gauss-Seidel for sum over neighbours b of area(a, b) (x_a - x_b) = missing volume of a; the background stays at 0.
-    for _ in 0..30 {
-        for label in 1..wanted.len() {
-            let (mut total, mut pull) = (0.0, wanted[label] - volumes[label]);
-            for ((a, b), area) in &pairs {
-                if *a == label || *b == label {
-                    total += area;
-                    pull += area * change[if *a == label { *b } else { *a }];
-                }
-            }
-            if total > 0.0 {
-                change[label] = pull / total;
-            }
-        }
-    }
-    for (offset, change) in mesh.surface.offsets_mut().iter_mut().zip(change) {
-        *offset = (*offset + change).clamp(-largest, largest);
-    }
-}
-
-/// Volume per label, mm^3.
-fn volumes_of(mesh: &ImprovementMesh, labels: usize) -> Vec<f64> {
-    let of_chunk = |(chunk, rows): (usize, &[[u32; 4]])| {
-        let mut volumes = vec![0.0; labels];
-        for t in (chunk * SUM_CHUNK) as u32..(chunk * SUM_CHUNK + rows.len()) as u32 {
-            if mesh.part(t) == Part::Mesh && mesh.is_live(t) {
-                volumes[mesh.labels[t as usize].index()] += volume6(mesh.corners(t)) / 6.0;
-            }
-        }
-        volumes
-    };
-    let parts: Vec<Vec<f64>> = mesh.tets.par_chunks(SUM_CHUNK).enumerate().map(of_chunk).collect();
-    let mut volumes = vec![0.0; labels];
-    for part in parts {
-        volumes.iter_mut().zip(part).for_each(|(sum, part)| *sum += part);
-    }
-    volumes
-}
-
-/// Area between each pair of labels, mm^2, the background among them but not the image border; the stars are up to date.
-fn areas_between(mesh: &ImprovementMesh) -> Vec<((usize, usize), f64)> {
-    let is_border = |w: u32| mesh.sides(w).iter().any(|s| matches!(s, Side::Border(_)));
-    let of_chunk = |chunk: usize| {
-        let mut areas: FxHashMap<(usize, usize), f64> = FxHashMap::default();
-        for v in chunk * SUM_CHUNK..((chunk + 1) * SUM_CHUNK).min(mesh.points.len()) {
-            let v = v as u32;
-            // Each face once, at its vertex of the smallest number.
-            let star = mesh.stars().of(v).unwrap_or(&[]);
-            for face in star.iter().filter(|face| face.others.iter().all(|w| *w > v)) {
-                let [a, b] = face.others;
-                if face.outer.is_none() && [v, a, b].into_iter().all(is_border) {
-                    continue;
-                }
-                let [p, q, r]: [DVec3; 3] = [v, a, b].map(|w| mesh.points[w as usize]);
-                let inner = mesh.labels[face.inner as usize].index();
-                let outer = face.outer.map_or(0, |o| mesh.labels[o as usize].index());
-                *areas.entry((inner.min(outer), inner.max(outer))).or_default() += (q - p).cross(r - p).length() / 2.0;
-            }
-        }
-        areas
-    };
-    let parts: Vec<_> = (0..mesh.points.len().div_ceil(SUM_CHUNK)).into_par_iter().map(of_chunk).collect();
-    let mut areas: BTreeMap<(usize, usize), f64> = BTreeMap::new();
-    for (pair, area) in parts.into_iter().flatten() {
-        *areas.entry(pair).or_default() += area;
-    }
-    areas.into_iter().collect()
 }

@@ -72,6 +72,7 @@ mod topology_tests;
 pub mod untangling;
 pub mod vertex_optimization;
 pub mod vertex_table;
+pub mod volume_offsets;
 pub mod voxel_cleanup;
 pub mod voxel_fidelity;
 
