@@ -73,10 +73,20 @@ fn counts_of_points_are_named() {
     for format in ["a.mesh", "a.surf", "a.smesh", "a.poly", "a.vtk"] {
         for points in [3, 5] {
             let wrong = refusal(folder.path(), format, &written(format, points, 4));
-            let is_shown = wrong.contains(&format!("{points} ")) && wrong.contains("claimed");
-            // A row of numbers in a TetGen file is a facet's as well as a point's.
-            assert!(is_shown || ["a.smesh", "a.poly"].contains(&format), "{format}: {wrong}");
+            assert!(wrong.contains(&format!("{points} ")) && wrong.contains("claimed"), "{format}: {wrong}");
         }
+    }
+}
+
+#[test]
+fn counts_of_points_in_node_files_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let facets = format!("0 3 0 0\n4 0\n{}0\n", rows(0, (true, "1\n3 ", "")).1);
+    for points in [3, 5] {
+        let nodes = rows(0, (true, "", "")).0;
+        std::fs::write(folder.path().join("a.node"), format!("{points} 3 0 0\n{nodes}")).unwrap();
+        let wrong = refusal(folder.path(), "a.poly", &facets);
+        assert!(wrong.contains(&format!("{points} points")) && wrong.contains("claimed"), "{wrong}");
     }
 }
 

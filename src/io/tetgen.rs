@@ -43,6 +43,7 @@ pub fn read(path: &Path, lists: FacetLists) -> Result<FileMesh> {
         base = read_points(&mut nodes, &mut mesh)?;
         nodes.expect_end(format!("{} points", mesh.points.len()))?;
     }
+    expect_count_of_facets(&mut scan, mesh.points.len())?;
     let facets = scan.count("facets", 4)?;
     let marked = scan.line().and_then(|l| l.split_whitespace().next()?.parse::<i64>().ok()).unwrap_or(0) != 0;
     for _ in 0..facets {
@@ -72,6 +73,9 @@ fn read_points(scan: &mut TextScan, mesh: &mut FileMesh) -> Result<i64> {
     let count = scan.believable(count as i64, "points", 8)?;
     let mut base = 0;
     for i in 0..count as i64 {
+        if scan.at_end() {
+            return Err(scan.refuse(format!("the file ends where row {i} of {count} points should be, which are claimed")));
+        }
         let number = scan.integer()?;
         if i == 0 {
             base = number;
@@ -80,11 +84,27 @@ fn read_points(scan: &mut TextScan, mesh: &mut FileMesh) -> Result<i64> {
             let wanted = base + i;
             return Err(scan.refuse(format!("point {number} where {wanted} should be; {count} points are claimed")));
         }
+        let begin = scan.position();
         mesh.points.push(scan.point_of(i as usize, count)?);
+        // A point goes on one line: else the number was that of the facets, which may be the one expected here.
+        if scan.bytes()[begin..scan.position()].contains(&b'\n') {
+            return Err(scan.refuse(format!("row {i} of the points has no three coordinates; {count} points are claimed")));
+        }
         // Attributes and markers may follow.
         scan.line();
     }
     Ok(base)
+}
+
+/// The number of facets stands with a flag at most: a longer row of numbers there is one more point.
+fn expect_count_of_facets(scan: &mut TextScan, points: usize) -> Result<()> {
+    let row = row_ahead(scan);
+    if row.split_whitespace().count() > 2 && is_of_numbers(&row) {
+        let text: String = row.chars().take(40).collect();
+        let claimed = format!("more than the {points} points claimed");
+        return Err(scan.refuse(format!("'{text}' where the number of facets should be: {claimed}")));
+    }
+    Ok(())
 }
 
 fn read_polygon(scan: &mut TextScan, base: i64) -> Result<Vec<i64>> {
@@ -176,14 +196,25 @@ fn read_holes_and_regions(scan: &mut TextScan, mesh: &mut FileMesh, facets: usiz
 
 /// The numbers of holes and of regions stand alone on their lines: a row of numbers there is one more of what came before.
 fn expect_lone_number(scan: &mut TextScan, claims: &str) -> Result<()> {
-    let begin = scan.position();
-    let row = scan.line().unwrap_or("").to_owned();
-    scan.seek(begin);
-    if row.split_whitespace().count() > 1 && row.split_whitespace().all(|word| word.parse::<f64>().is_ok()) {
+    let row = row_ahead(scan);
+    if row.split_whitespace().count() > 1 && is_of_numbers(&row) {
         let text: String = row.chars().take(40).collect();
         return Err(scan.refuse(format!("'{text}' where a number stands alone: more than the {claims} claimed")));
     }
     Ok(())
+}
+
+/// The next row, which is read again.
+fn row_ahead(scan: &mut TextScan) -> String {
+    scan.peek(); // past empty lines and comments
+    let begin = scan.position();
+    let row = scan.line().unwrap_or("").to_owned();
+    scan.seek(begin);
+    row
+}
+
+fn is_of_numbers(row: &str) -> bool {
+    row.split_whitespace().all(|word| word.parse::<f64>().is_ok())
 }
 
 /// A region from its attribute and its largest tet volume.
