@@ -74,7 +74,9 @@ fn read_points(scan: &mut TextScan, mesh: &mut FileMesh) -> Result<i64> {
     let mut base = 0;
     for i in 0..count as i64 {
         if scan.at_end() {
-            return Err(scan.refuse(format!("the file ends where row {i} of {count} points should be, which are claimed")));
+            return Err(
+                scan.refuse(format!("the file ends where row {i} of {count} points should be, which are claimed"))
+            );
         }
         let number = scan.integer()?;
         if i == 0 {
@@ -88,7 +90,9 @@ fn read_points(scan: &mut TextScan, mesh: &mut FileMesh) -> Result<i64> {
         mesh.points.push(scan.point_of(i as usize, count)?);
         // A point goes on one line: else the number was that of the facets, which may be the one expected here.
         if scan.bytes()[begin..scan.position()].contains(&b'\n') {
-            return Err(scan.refuse(format!("row {i} of the points has no three coordinates; {count} points are claimed")));
+            return Err(
+                scan.refuse(format!("row {i} of the points has no three coordinates; {count} points are claimed"))
+            );
         }
         // Attributes and markers may follow.
         scan.line();

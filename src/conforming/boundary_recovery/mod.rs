@@ -11,8 +11,8 @@
 //!    one resists, its split is taken back as a constraint, the point becomes one of the volume, and 1 to 4 are repeated
 //!    for what is missing now: all that was eliminated meanwhile has changed what stood in the way.
 //! 5. Those in the volume are removed as far as possible (`steiner_removal`), then merged (`steiner_merging`).
-//! 6. Where many edges had to be split, all is done once more with the missing edges in the other order, and what has fewer
-//!    points is kept (`EdgeOrder`).
+//! 6. Where many edges had to be split, all but the merging is done once more with the missing edges in the other order, and
+//!    what has fewer points is kept (`EdgeOrder`) and merged.
 //!
 //! # Source
 //! [Drakopoulos2017] 4.6, [GeorgeHechtSaltel1991], [GeorgeBorouchaki2003].
@@ -303,17 +303,33 @@ fn withdraw_splits(mesh: &mut ConstrainedMesh, options: &Options, context: &RunC
 /// As [`recover`].
 pub fn remove_from_volume(
     mesh: &mut ConstrainedMesh,
-    mut volume: Vec<VertexId>,
+    volume: Vec<VertexId>,
+    options: &Options,
+    context: &RunContext,
+    report: &mut RecoveryReport,
+) -> Result<Vec<VertexId>> {
+    let start = Instant::now();
+    // Where points are few merging removes what the largest effort does not, which would add time and hardly anything else.
+    let volume = steiner_removal::remove_steiner_points(mesh, volume, &efforts(options)[2], context)?;
+    report.seconds[3] = start.elapsed().as_secs_f64();
+    Ok(volume)
+}
+
+/// Merges Steiner points that removal left in the volume; returns those that stay.
+///
+/// # Errors
+/// As [`recover`].
+pub fn merge_in_volume(
+    mesh: &mut ConstrainedMesh,
+    volume: Vec<VertexId>,
     options: &Options,
     context: &RunContext,
     report: &mut RecoveryReport,
 ) -> Result<Vec<VertexId>> {
     let start = Instant::now();
     let (efforts, edge_efforts) = (efforts(options), edge_efforts(options));
-    // Where points are few merging removes what the largest effort does not, which would add time and hardly anything else.
-    volume = steiner_removal::remove_steiner_points(mesh, volume, &efforts[2], context)?;
-    volume = steiner_merging::merge_steiner_points(mesh, volume, (&edge_efforts, &efforts), context)?;
-    report.seconds[3] = start.elapsed().as_secs_f64();
+    let volume = steiner_merging::merge_steiner_points(mesh, volume, (&edge_efforts, &efforts), context)?;
+    report.seconds[3] += start.elapsed().as_secs_f64();
     report.steiner_in_volume = volume.len();
     report.reconnections = mesh.reconnections;
     report.cavities = mesh.cavities;
