@@ -4,7 +4,8 @@
 //! 1. A tet that is beyond what may stay is chosen, or one near it, or any; one of its faces, edges or vertices gets an
 //!    operation: flip 2-3, removal of an edge, a move, a contraction or an insertion.
 //! 2. The operation is carried out where what its tets cost falls, or grows by less than chance and the temperature allow.
-//! 3. The temperature falls; the state with the fewest such tets, and the least cost among these, is kept.
+//! 3. The temperature falls; the state with the fewest such tets, and the least cost among these, is kept, or the last one
+//!    where none had fewer than the first.
 //!
 //! A tet off the boundary beyond the demanded angles costs most; one at the boundary little, with the logarithm of its grade: it
 //! only has to stay valid. Where slivers are to go ([`Aim::FewerBad`]), those cost as much.
@@ -164,7 +165,8 @@ impl Annealer {
         cost <= 0.0 || self.random_share() < (-cost / temperature).exp()
     }
 
-    /// Leaves the best state on the way. Beyond the border of the region there is nothing; `sizes` grows with the vertices.
+    /// Leaves the best state on the way, or the last, where none has fewer tets beyond what may stay than the first. Beyond
+    /// the border of the region there is nothing; `sizes` grows with the vertices.
     ///
     /// # Errors
     /// [`crate::error::Error::Cancelled`], or what the store refuses.
@@ -181,7 +183,8 @@ impl Annealer {
         }[self.count % HOTTEST.len()];
         self.count += 1;
         let mut state = State { complex, sizes, annealing, temperature: hottest, spare: None };
-        let mut now = state.sum(state.complex.finite_tets());
+        let start = state.sum(state.complex.finite_tets());
+        let mut now = start;
         let mut best = (now, state.complex.clone(), state.sizes.clone());
         let cooling = (COLDEST / hottest).powf(1.0 / STEPS as f64);
         for step in 0..STEPS {
@@ -202,7 +205,10 @@ impl Annealer {
             let tet = self.choose(&state);
             now.add(self.step(&mut state, tet)?);
         }
-        (*state.complex, *state.sizes) = (best.1, best.2);
+        // The last state is as cold as the best, and elsewhere: who anneals again does not begin where that led nowhere.
+        if best.0.beyond < start.beyond || now.beyond > start.beyond {
+            (*state.complex, *state.sizes) = (best.1, best.2);
+        }
         Ok(())
     }
 
