@@ -205,7 +205,7 @@ impl Rounds<'_> {
             // A round costs as much for a few leaves as for all: what relabelling lacks joins a few marks.
             if !marks_many(&marked) {
                 let by_centroid = elements.labels.clone();
-                let neighbors = self.neighbors(lattice, &elements, known.as_ref())?;
+                let mut neighbors = self.neighbors(lattice, &elements, known.as_ref())?;
                 drop(known);
                 let relabelled = self.relabel(lattice, &mut elements, &neighbors, |_| false);
                 let at_centroid = found;
@@ -243,7 +243,9 @@ impl Rounds<'_> {
                             self.make_manifold(lattice, &mut elements, neighbors.clone(), found, &deficit, limit)?;
                     } else if self.smooths {
                         found = self.relabel_pinches(lattice, &mut elements, &neighbors, found, &deficit)?;
-                        (_, found) = self.carve_pinches(lattice, &mut elements, neighbors.clone(), found)?;
+                        // No leaf is marked any more: the last use of the neighbours.
+                        let neighbors = std::mem::take(&mut neighbors);
+                        (_, found) = self.carve_pinches(lattice, &mut elements, neighbors, found)?;
                     }
                     deficit = self.deficit(&found);
                 }
@@ -278,6 +280,7 @@ impl Rounds<'_> {
         };
         let (elements, numbers) =
             self.report.timed("elements", || lattice.elements_after(&before.elements, context))?;
+        drop(before.elements);
         let components = &self.components;
         let found = self
             .report
@@ -501,6 +504,8 @@ impl Rounds<'_> {
                 break;
             }
             is_carved = true;
+            // What is not true any more need not be held beside what replaces it.
+            drop(neighbors);
             neighbors = self.neighbors(lattice, elements, None)?;
         }
         let found = if is_carved { self.count(lattice, elements)? } else { found };

@@ -4,7 +4,7 @@
 //! 1. Each chunk of tets sorts its faces into buckets of their largest vertex.
 //! 2. Each bucket counts its faces into groups of one largest vertex, some twenty faces each, and sorts each group by the
 //!    other two vertices; equal neighbours are the two sides of a face.
-//!
+//! 3. This is done for some of the buckets at a time, so that only their faces are held.
 //!
 //! After a change of some tets only ([`neighbors_after`]), what lies behind the others is renumbered, and the faces that a
 //! tet has lost its neighbour at are matched with those of the new tets.
@@ -13,7 +13,8 @@
 //! A face has one or two tets; a third one is an internal error found here.
 //!
 //! # Cost
-//! 16 bytes a face for the time of the call; parallel, the same result for any number of threads.
+//! 16 bytes for each of a quarter of the sides (16 a tet) beside the result, for the time of the call; parallel, the same result
+//! for any number of threads.
 
 use rayon::prelude::*;
 
@@ -29,6 +30,9 @@ const CHUNK: usize = 1 << 15;
 
 /// Buckets: few enough to be filled in cache, small enough to be sorted in cache at millions of tets.
 const BUCKETS: usize = 256;
+
+/// Passes over the tets, each for as many buckets: each looks at all tets again.
+const PASSES: usize = 4;
 
 #[derive(Clone, Copy, Default)]
 struct Side {
@@ -48,79 +52,98 @@ pub fn neighbors_of(tets: &[[u32; 4]], vertex_count: usize) -> Result<Vec<[u32; 
         return Err(Error::CapacityExceeded { what: "tets", needed: tets.len() as u64, limit: 1 << 30 });
     }
     let width = vertex_count.div_ceil(BUCKETS).max(1);
-    let chunks: Vec<(Vec<Side>, Vec<u32>)> =
-        tets.par_chunks(CHUNK).enumerate().map(|(c, chunk)| bucketed(chunk, c * CHUNK, width)).collect();
-    let pairs: Vec<Vec<[u32; 2]>> =
-        (0..BUCKETS).into_par_iter().map(|b| matched(&chunks, b, width)).collect::<Result<_>>()?;
-    drop(chunks);
     let mut neighbors = vec![[OUTSIDE; 4]; tets.len()];
     // Each side of a face is written once: the same result in any order.
     let rows = SharedWords::new(neighbors.as_flattened_mut());
-    pairs.into_par_iter().flatten_iter().for_each(|[a, b]| {
-        rows.store(a as usize, b >> 2);
-        rows.store(b as usize, a >> 2);
-    });
+    let per_pass = if tets.len() > CHUNK { BUCKETS / PASSES } else { BUCKETS };
+    for begin in (0..BUCKETS).step_by(per_pass) {
+        let buckets = Buckets { begin, end: begin + per_pass, width };
+        let chunks: Vec<(Vec<Side>, Vec<u32>)> =
+            tets.par_chunks(CHUNK).enumerate().map(|(c, chunk)| buckets.fill(chunk, c * CHUNK)).collect();
+        (begin..buckets.end).into_par_iter().try_for_each(|b| buckets.join_sides(&chunks, b, &rows))?;
+    }
     Ok(neighbors)
 }
 
-fn bucketed(tets: &[[u32; 4]], first: usize, width: usize) -> (Vec<Side>, Vec<u32>) {
-    let mut starts = vec![0u32; BUCKETS + 1];
-    for tet in tets {
-        for face in TET_FACES {
-            starts[face.map(|v| tet[v]).into_iter().fold(0, u32::max) as usize / width + 1] += 1;
-        }
-    }
-    for b in 0..BUCKETS {
-        starts[b + 1] += starts[b];
-    }
-    let mut next = starts.clone();
-    let mut sides = vec![Side::default(); 4 * tets.len()];
-    for (t, tet) in tets.iter().enumerate() {
-        for (f, face) in TET_FACES.into_iter().enumerate() {
-            let mut v = face.map(|v| tet[v]);
-            v.sort_unstable();
-            let position = &mut next[v[2] as usize / width];
-            let side = (((first + t) << 2) | f) as u32;
-            sides[*position as usize] = Side { others: u64::from(v[1]) << 32 | u64::from(v[0]), largest: v[2], side };
-            *position += 1;
-        }
-    }
-    (sides, starts)
+/// The buckets of one pass and how many vertices each is for.
+struct Buckets {
+    begin: usize,
+    end: usize,
+    width: usize,
 }
 
-fn matched(chunks: &[(Vec<Side>, Vec<u32>)], bucket: usize, width: usize) -> Result<Vec<[u32; 2]>> {
-    let sides = || {
-        let slice = |starts: &[u32]| starts[bucket] as usize..starts[bucket + 1] as usize;
-        chunks.iter().flat_map(move |(sides, starts)| &sides[slice(starts)])
-    };
-    let group = |side: &Side| side.largest as usize - bucket * width;
-    let mut ends = vec![0u32; width + 1];
-    sides().for_each(|side| ends[group(side) + 1] += 1);
-    for v in 0..width {
-        ends[v + 1] += ends[v];
-    }
-    let mut faces = vec![(0u64, 0u32); ends[width] as usize];
-    for side in sides() {
-        let position = &mut ends[group(side)];
-        faces[*position as usize] = (side.others, side.side);
-        *position += 1;
-    }
-    // Each entry has moved on to the end of its group.
-    let mut pairs = Vec::with_capacity(faces.len() / 2);
-    let mut begin = 0;
-    for end in &ends[..width] {
-        let group = &mut faces[begin..*end as usize];
-        begin = *end as usize;
-        group.sort_unstable();
-        for face in group.chunk_by(|a, b| a.0 == b.0) {
-            match face {
-                [_] => {}
-                [a, b] => pairs.push([a.1, b.1]),
-                _ => return Err(shared_by_many(face[0].1)),
+impl Buckets {
+    /// The sides of the tets of a chunk, the first of them number `first`, by buckets; where those of each bucket begin.
+    fn fill(&self, tets: &[[u32; 4]], first: usize) -> (Vec<Side>, Vec<u32>) {
+        let vertices = self.begin * self.width..self.end * self.width;
+        let largest = |tet: &[u32; 4], face: [usize; 3]| face.map(|v| tet[v]).into_iter().fold(0, u32::max);
+        let is_here = |vertex: u32| vertices.contains(&(vertex as usize));
+        let bucket = |vertex: u32| vertex as usize / self.width - self.begin;
+        let mut starts = vec![0u32; self.end - self.begin + 1];
+        for tet in tets {
+            for vertex in TET_FACES.map(|face| largest(tet, face)).into_iter().filter(|v| is_here(*v)) {
+                starts[bucket(vertex) + 1] += 1;
             }
         }
+        for b in 1..starts.len() {
+            starts[b] += starts[b - 1];
+        }
+        let mut next = starts.clone();
+        let mut sides = vec![Side::default(); starts[self.end - self.begin] as usize];
+        for (t, tet) in tets.iter().enumerate() {
+            for (f, face) in TET_FACES.into_iter().enumerate() {
+                if !is_here(largest(tet, face)) {
+                    continue;
+                }
+                let mut v = face.map(|v| tet[v]);
+                v.sort_unstable();
+                let position = &mut next[bucket(v[2])];
+                let side = (((first + t) << 2) | f) as u32;
+                sides[*position as usize] =
+                    Side { others: u64::from(v[1]) << 32 | u64::from(v[0]), largest: v[2], side };
+                *position += 1;
+            }
+        }
+        (sides, starts)
     }
-    Ok(pairs)
+
+    /// Writes for each side of a bucket what lies behind it.
+    fn join_sides(&self, chunks: &[(Vec<Side>, Vec<u32>)], bucket: usize, rows: &SharedWords) -> Result<()> {
+        let sides = || {
+            let b = bucket - self.begin;
+            chunks.iter().flat_map(move |(sides, starts)| &sides[starts[b] as usize..starts[b + 1] as usize])
+        };
+        let group = |side: &Side| side.largest as usize - bucket * self.width;
+        let mut ends = vec![0u32; self.width + 1];
+        sides().for_each(|side| ends[group(side) + 1] += 1);
+        for v in 0..self.width {
+            ends[v + 1] += ends[v];
+        }
+        let mut faces = vec![(0u64, 0u32); ends[self.width] as usize];
+        for side in sides() {
+            let position = &mut ends[group(side)];
+            faces[*position as usize] = (side.others, side.side);
+            *position += 1;
+        }
+        // Each entry has moved on to the end of its group.
+        let mut begin = 0;
+        for end in &ends[..self.width] {
+            let group = &mut faces[begin..*end as usize];
+            begin = *end as usize;
+            group.sort_unstable();
+            for face in group.chunk_by(|a, b| a.0 == b.0) {
+                match face {
+                    [_] => {}
+                    [(_, a), (_, b)] => {
+                        rows.store(*a as usize, b >> 2);
+                        rows.store(*b as usize, a >> 2);
+                    }
+                    _ => return Err(shared_by_many(face[0].1)),
+                }
+            }
+        }
+        Ok(())
+    }
 }
 
 /// The neighbours of tets some of which were there before, with the neighbours `before`: `numbers` has for each its number
@@ -175,4 +198,61 @@ pub fn with_neighbors(elements: &[u32], neighbors: &[[u32; 4]]) -> Vec<u32> {
     all.sort_unstable();
     all.dedup();
     all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rustc_hash::FxHashMap;
+
+    /// A cube of `n` cells a side, six tets each around the cell's diagonal, and the number of vertices.
+    fn cube(n: u32) -> (Vec<[u32; 4]>, usize) {
+        let row = n + 1;
+        let vertex = |at: [u32; 3]| (at[2] * row + at[1]) * row + at[0];
+        let mut tets = Vec::new();
+        for cell in 0..n.pow(3) {
+            let at = [cell % n, cell / n % n, cell / n / n];
+            for axes in [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]] {
+                let mut corner = at;
+                let mut tet = [vertex(at); 4];
+                for (i, axis) in axes.into_iter().enumerate() {
+                    corner[axis] += 1;
+                    tet[i + 1] = vertex(corner);
+                }
+                tets.push(tet);
+            }
+        }
+        (tets, row.pow(3) as usize)
+    }
+
+    #[test]
+    fn tets_of_one_pass_and_of_several_find_each_other() {
+        for n in [3, 18] {
+            let (tets, vertices) = cube(n);
+            assert_eq!(tets.len() > CHUNK, n == 18);
+            let mut sides: FxHashMap<[u32; 3], Vec<[usize; 2]>> = FxHashMap::default();
+            for (t, tet) in tets.iter().enumerate() {
+                for (f, face) in TET_FACES.into_iter().enumerate() {
+                    let mut face = face.map(|v| tet[v]);
+                    face.sort_unstable();
+                    sides.entry(face).or_default().push([t, f]);
+                }
+            }
+            let mut expected = vec![[OUTSIDE; 4]; tets.len()];
+            for sides in sides.values() {
+                if let [[t, f], [u, g]] = sides[..] {
+                    (expected[t][f], expected[u][g]) = (u as u32, t as u32);
+                }
+            }
+            assert!(neighbors_of(&tets, vertices).unwrap() == expected);
+        }
+    }
+
+    #[test]
+    fn a_third_tet_at_a_face_is_an_error_in_any_pass() {
+        let (mut tets, vertices) = cube(18);
+        let [a, b, c, _] = tets[100];
+        tets.extend([vertices, vertices + 1].map(|apex| [a, b, c, apex as u32]));
+        assert!(neighbors_of(&tets, vertices + 2).is_err());
+    }
 }
