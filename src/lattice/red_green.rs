@@ -272,6 +272,9 @@ impl<'a> RedGreenLattice<'a> {
                         is_new.resize(tets.len(), true);
                     }
                 }
+                tets.shrink_to_fit();
+                levels.shrink_to_fit();
+                is_new.shrink_to_fit();
                 Ok(((tets, levels), is_new))
             })
             .collect::<Result<_>>()?;
@@ -352,6 +355,10 @@ impl<'a> RedGreenLattice<'a> {
                 for t in c * CHUNK..((c + 1) * CHUNK).min(self.tets.len()) {
                     push(t, &mut elements)?;
                 }
+                // All chunks wait for the last: what they grew by beyond their length would be half as much again.
+                elements.tets.shrink_to_fit();
+                elements.labels.shrink_to_fit();
+                elements.leaves.shrink_to_fit();
                 Ok(elements)
             })
             .collect::<Result<_>>()?;
