@@ -306,13 +306,20 @@ fn surface_contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32, shell
     let mut near: Vec<u32> = faces.iter().flat_map(|f| f.others).collect();
     near.sort_unstable();
     near.dedup();
-    let mut near_to: Vec<u32> = mesh.surface_faces(to).iter().flat_map(|f| f.others).collect();
+    let faces_to = mesh.surface_faces(to);
+    let mut near_to: Vec<u32> = faces_to.iter().flat_map(|f| f.others).collect();
     near_to.sort_unstable();
     near_to.dedup();
     // The vertices joined to both ends through surfaces are those of the triangles at the edge, or a surface would fold
     // onto itself.
     let at_edge = faces.iter().filter(|f| f.others.contains(&to)).count();
     if common(&near, &near_to) != at_edge || (mesh.sides(from).len() > 2 && !lies_along_line(mesh, from, to, &near)) {
+        return false;
+    }
+    // Nor may a face that stays fall on another one: a piece that four faces bound, as a single tet, would vanish.
+    let has_at =
+        |faces: &[SurfaceFace], [p, q]: [u32; 2]| faces.iter().any(|f| f.others == [p, q] || f.others == [q, p]);
+    if faces.iter().any(|f| !f.others.contains(&to) && has_at(&faces_to, f.others)) {
         return false;
     }
     let at = |v: u32| mesh.points[v as usize];
@@ -526,9 +533,11 @@ fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool
 mod tests {
     use super::*;
     use crate::context::RunContext;
+    use crate::geometry::tetrahedron::volume6;
     use crate::index::VertexId;
     use crate::lattice::boundary_targets::SourcePoints;
     use crate::lattice::candidate_mesh::CandidateMesh;
+    use crate::lattice::face_adjacency::neighbors_of;
     use crate::lattice::scaffold::Scaffold;
     use crate::lattice::subvoxel_surface::SubvoxelSurface;
     use crate::lattice::test_images::voxel_image;
@@ -585,5 +594,42 @@ mod tests {
         assert_eq!(sources.sides(2), &expected[..2]);
         let work = ImprovementMesh::new(&mut mesh, &sources, surface);
         assert_eq!(sides_of_edge(&work, 0, 1, &work.shell(0, 1)), expected);
+    }
+    #[test]
+    fn a_piece_of_one_tet_is_not_contracted_away() {
+        // A slender tet of label 2 between four of label 1, one behind each face; the edge 0 1 is its short one.
+        let corners = [
+            DVec3::new(2.0, 2.9, 2.5),
+            DVec3::new(2.0, 3.1, 2.5),
+            DVec3::new(3.5, 3.0, 2.0),
+            DVec3::new(3.5, 3.0, 3.0),
+        ];
+        let middle = corners.iter().sum::<DVec3>() / 4.0;
+        let mut points = corners.to_vec();
+        let mut tets = vec![[0, 1, 2, 3].map(VertexId)];
+        for out in 0..4 {
+            let face = [0, 1, 2, 3].map(|v| if v == out { 4 + out } else { v });
+            points.push(middle + 2.0 * (middle - corners[out as usize]));
+            tets.push(face.map(VertexId));
+        }
+        for tet in &mut tets {
+            if volume6(tet.map(|v| points[v.index()])) < 0.0 {
+                tet.swap(2, 3);
+            }
+        }
+        let tet_labels = [2, 1, 1, 1, 1].map(Label).to_vec();
+        let image = voxel_image(6, |_| 1);
+        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
+        let rows: Vec<[u32; 4]> = tets.iter().map(|tet| tet.map(|v| v.0)).collect();
+        let neighbors = neighbors_of(&rows, points.len()).unwrap();
+        let sources = SourcePoints::new(&points, &tets, &tet_labels, &neighbors, &surface, &[]);
+        let mut mesh = CandidateMesh { points, tets, tet_labels, ..CandidateMesh::default() };
+        let work = ImprovementMesh::new(&mut mesh, &sources, surface);
+        let shell = work.shell(0, 1);
+        assert!(work.is_surface_edge(0, 1, &shell));
+        assert!(!surface_contraction_is_safe(&work, 0, 1, &shell));
+        // What comes after would be refused by nothing else: vertices join as they may, and the face keeps its direction.
+        let (near, near_to) = (link_vertices(&work, 0), link_vertices(&work, 1));
+        assert_eq!(common(&near, &near_to), 4);
     }
 }
