@@ -30,6 +30,7 @@ mod edge_lengths;
 pub mod enclosure;
 mod failed_attempts;
 pub mod fault_picture;
+pub mod fewest_slivers;
 pub mod flip_criteria;
 pub mod flips;
 mod forced_slivers;

@@ -20,7 +20,8 @@
 //! skewness: needles on a small triangle may lean far while their angles are good. Around what may not stay even then,
 //! iterated local search goes on (`region_search`); then, for tets off the boundary that are still bad, whatever becomes
 //! of those at it, and where it finds nothing, annealing (`region_annealing`); at last annealing around the slivers that the
-//! boundary does not force.
+//! boundary does not force. Where that leaves more slivers than there were before, the mesh with the fewest is put back
+//! ([`FewestSlivers`]).
 //!
 //! # Source
 //! [Drakopoulos2017] 4.9; B.3 `nqual`, `nqualf`, `angqual`, `angqmsk`, `angqmax`, `mrecqm`, `mrecqmf`, `ordtq`, `mdfs`, `ndfs`,
@@ -42,6 +43,7 @@
 use std::time::Instant;
 
 use super::bad_tets::{Known, Scope, grade_below, sift, slivers, tets_with_skew_faces, vertices_of};
+use super::fewest_slivers::{FewestSlivers, State};
 use super::flip_criteria::{BiasedSine, Relief, STRICT_ANGLE, StrictInside, TetMeasure};
 use super::forced_slivers::{crowded_slivers, is_forced_sliver, sliver_cosine};
 use super::local_reconnection::{FourFour, Objective};
@@ -137,12 +139,15 @@ pub fn improve(
     let mut improver = Improver { options, context, on_boundary: &on_boundary, driver, known, crowded_points };
     let passes = options.quality_passes;
     let mut scope = Scope::default();
+    let mut fewest = FewestSlivers::default();
     for repeat in 0..=options.quality_repeats {
         for pass in 0..passes {
             context.check()?;
             let pass_start = Instant::now();
             let before = improver.driver.vertex_changes();
             improver.pass(complex, sizes, &scope, pass + 1 == passes)?;
+            let state = improver.state(complex);
+            fewest.note(complex, sizes, state);
             let after = improver.driver.vertex_changes();
             let prefix = format!("quality.pass.{}", repeat * passes + pass + 1);
             let counts = improver.driver.take_counts();
@@ -182,6 +187,8 @@ pub fn improve(
     let [tried, replaced] = improver.search_regions(complex, sizes)?;
     figures.set("quality.disturbances", tried as f64);
     figures.set("quality.regions_replaced", replaced as f64);
+    let state = improver.state(complex);
+    figures.set("quality.restored", f64::from(u8::from(fewest.restore(complex, sizes, state))));
     let skew_tets = tets_with_skew_faces(complex, context, &Scope::default()).len();
     figures.set("quality.skew_tets", skew_tets as f64);
     Known::forget(complex);
@@ -408,6 +415,15 @@ impl Improver<'_> {
             }
         }
         Ok(())
+    }
+
+    /// What is wrong with the mesh.
+    fn state(&mut self, complex: &mut TetComplex) -> State {
+        // No sliver has a better grade: large angles weigh more.
+        let mut slivers =
+            self.known.tets_below(complex, self.context, &Scope::default(), SLIVER_DEGREES.to_radians().sin());
+        slivers.retain(|tet| sliver_cosine(complex.points_of(*tet)).is_some());
+        State { bad_off_boundary: self.bad_off_boundary(complex).len(), slivers: slivers.len() }
     }
 
     /// The tets off the boundary that are beyond the angles demanded.

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::test_surfaces::{chazelle, cube, joined, mapped, sphere, surface_of, translated};
+use super::test_surfaces::{chazelle, cube, joined, mapped, sphere, surface_of, translated, twisted_prism};
 use super::*;
 use crate::geometry::predicates::orient3d;
 use crate::geometry::tetrahedron::dihedral_cosines;
@@ -232,4 +232,18 @@ fn a_mesh_that_outgrows_its_prediction_stops_at_the_limit() {
     assert_eq!(report.refinement.value("refinement.stopped_at_limit"), Some(1.0));
     assert!(mesh.element_count() <= limit && mesh.element_count() > limit / 2);
     assert!(context.take_findings().iter().any(|f| f.text.contains("stopped")));
+}
+
+#[test]
+fn improvement_leaves_no_more_slivers_than_its_passes() {
+    // A plate 300 times thinner than its triangles are wide: nearly every tet is a sliver, whatever is done.
+    let plate = mapped(&twisted_prism(24, 0.1, 1), |p| p * DVec3::new(1.0, 1.0, 1.0 / 300.0));
+    let options = Options { quality_statistics: true, ..Options::default() };
+    let (_, report) = meshed(&plate, &options);
+    let value = |name: &str| report.refinement.value(name).unwrap();
+    let slivers = value("quality.slivers");
+    for pass in 1..=options.quality_passes {
+        assert!(slivers > 0.0 && slivers <= value(&format!("quality.pass.{pass}.quality.slivers")));
+    }
+    assert_eq!(value("quality.restored"), 1.0);
 }
