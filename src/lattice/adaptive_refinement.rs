@@ -176,6 +176,11 @@ struct RoundBefore {
     neighbors: Vec<[u32; 4]>,
 }
 
+/// Whether so few elements have changed that matching the faces of these alone is less work, and memory, than matching all.
+fn changes_few(numbers: &[u32]) -> bool {
+    numbers.iter().filter(|number| **number == CHANGED).count() < numbers.len() / 4
+}
+
 /// What is known from the round before.
 struct Known {
     /// The number then of each element, or [`CHANGED`].
@@ -205,8 +210,7 @@ impl Rounds<'_> {
             // A round costs as much for a few leaves as for all: what relabelling lacks joins a few marks.
             if !marks_many(&marked) {
                 let by_centroid = elements.labels.clone();
-                let mut neighbors = self.neighbors(lattice, &elements, known.as_ref())?;
-                drop(known);
+                let mut neighbors = self.neighbors(lattice, &elements, known)?;
                 let relabelled = self.relabel(lattice, &mut elements, &neighbors, |_| false);
                 let at_centroid = found;
                 let mut found = self.recount(&at_centroid, &by_centroid, lattice, &elements)?;
@@ -325,11 +329,12 @@ impl Rounds<'_> {
         &mut self,
         lattice: &RedGreenLattice,
         elements: &Elements,
-        known: Option<&Known>,
+        known: Option<Known>,
     ) -> Result<Vec<[u32; 4]>> {
         let vertices = lattice.vertices.positions.len();
+        let known = known.filter(|known| changes_few(&known.numbers));
         self.report.timed("adjacency", || match known {
-            Some(Known { numbers, neighbors }) => neighbors_after(neighbors, numbers, &elements.tets),
+            Some(Known { numbers, neighbors }) => neighbors_after(&neighbors, &numbers, &elements.tets),
             None => neighbors_of(&elements.tets, vertices),
         })
     }
@@ -499,14 +504,13 @@ impl Rounds<'_> {
             number_by_image(&mut joinable, &regions, lattice, elements, &self.components);
             let extent = if round < CARVING_ROUNDS { Extent::NearLabel } else { Extent::Whole };
             let carved = carve(lattice, elements, &neighbors, &pinched, &joinable, &self.euler, extent);
-            self.report.add("topology.carved_vertices", carved as f64);
-            if carved == 0 {
+            self.report.add("topology.carved_vertices", carved.vertices as f64);
+            if carved.vertices == 0 {
                 break;
             }
             is_carved = true;
-            // What is not true any more need not be held beside what replaces it.
-            drop(neighbors);
-            neighbors = self.neighbors(lattice, elements, None)?;
+            let known = Known { numbers: carved.numbers, neighbors };
+            neighbors = self.neighbors(lattice, elements, Some(known))?;
         }
         let found = if is_carved { self.count(lattice, elements)? } else { found };
         Ok((neighbors, found))

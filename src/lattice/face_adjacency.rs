@@ -51,13 +51,15 @@ pub fn neighbors_of(tets: &[[u32; 4]], vertex_count: usize) -> Result<Vec<[u32; 
     if tets.len() >= 1 << 30 {
         return Err(Error::CapacityExceeded { what: "tets", needed: tets.len() as u64, limit: 1 << 30 });
     }
-    let width = vertex_count.div_ceil(BUCKETS).max(1);
+    // As many vertices a bucket as the power of two that no more than all buckets are needed with.
+    let shift = vertex_count.div_ceil(BUCKETS).max(1).next_power_of_two().trailing_zeros();
+    let count = vertex_count.div_ceil(1 << shift);
     let mut neighbors = vec![[OUTSIDE; 4]; tets.len()];
     // Each side of a face is written once: the same result in any order.
     let rows = SharedWords::new(neighbors.as_flattened_mut());
-    let per_pass = if tets.len() > CHUNK { BUCKETS / PASSES } else { BUCKETS };
-    for begin in (0..BUCKETS).step_by(per_pass) {
-        let buckets = Buckets { begin, end: begin + per_pass, width };
+    let per_pass = if tets.len() > CHUNK { count.div_ceil(PASSES) } else { count };
+    for begin in (0..count).step_by(per_pass.max(1)) {
+        let buckets = Buckets { begin, end: count.min(begin + per_pass), shift };
         let chunks: Vec<(Vec<Side>, Vec<u32>)> =
             tets.par_chunks(CHUNK).enumerate().map(|(c, chunk)| buckets.fill(chunk, c * CHUNK)).collect();
         (begin..buckets.end).into_par_iter().try_for_each(|b| buckets.join_sides(&chunks, b, &rows))?;
@@ -65,24 +67,30 @@ pub fn neighbors_of(tets: &[[u32; 4]], vertex_count: usize) -> Result<Vec<[u32; 
     Ok(neighbors)
 }
 
-/// The buckets of one pass and how many vertices each is for.
+/// The buckets of one pass; each is for `1 << shift` vertices.
 struct Buckets {
     begin: usize,
     end: usize,
-    width: usize,
+    shift: u32,
 }
 
 impl Buckets {
+    /// The bucket of a vertex among those of the pass.
+    fn of(&self, vertex: u32) -> Option<usize> {
+        let bucket = (vertex as usize >> self.shift).wrapping_sub(self.begin);
+        (bucket < self.end - self.begin).then_some(bucket)
+    }
+
     /// The sides of the tets of a chunk, the first of them number `first`, by buckets; where those of each bucket begin.
     fn fill(&self, tets: &[[u32; 4]], first: usize) -> (Vec<Side>, Vec<u32>) {
-        let vertices = self.begin * self.width..self.end * self.width;
-        let largest = |tet: &[u32; 4], face: [usize; 3]| face.map(|v| tet[v]).into_iter().fold(0, u32::max);
-        let is_here = |vertex: u32| vertices.contains(&(vertex as usize));
-        let bucket = |vertex: u32| vertex as usize / self.width - self.begin;
         let mut starts = vec![0u32; self.end - self.begin + 1];
         for tet in tets {
-            for vertex in TET_FACES.map(|face| largest(tet, face)).into_iter().filter(|v| is_here(*v)) {
-                starts[bucket(vertex) + 1] += 1;
+            let [_, _, second, largest] = ascending(tet).map(|vertex| (vertex >> 2) as u32);
+            if let Some(bucket) = self.of(largest) {
+                starts[bucket + 1] += 3;
+            }
+            if let Some(bucket) = self.of(second) {
+                starts[bucket + 1] += 1;
             }
         }
         for b in 1..starts.len() {
@@ -91,17 +99,22 @@ impl Buckets {
         let mut next = starts.clone();
         let mut sides = vec![Side::default(); starts[self.end - self.begin] as usize];
         for (t, tet) in tets.iter().enumerate() {
-            for (f, face) in TET_FACES.into_iter().enumerate() {
-                if !is_here(largest(tet, face)) {
-                    continue;
-                }
-                let mut v = face.map(|v| tet[v]);
-                v.sort_unstable();
-                let position = &mut next[bucket(v[2])];
-                let side = (((first + t) << 2) | f) as u32;
-                sides[*position as usize] =
-                    Side { others: u64::from(v[1]) << 32 | u64::from(v[0]), largest: v[2], side };
+            let vertices = ascending(tet);
+            let [a, b, c, d] = vertices.map(|vertex| (vertex >> 2) as u32);
+            let mut list = |bucket: usize, opposite: usize, [smallest, middle, largest]: [u32; 3]| {
+                let position = &mut next[bucket];
+                let side = (((first + t) << 2) | (vertices[opposite] & 3) as usize) as u32;
+                let others = u64::from(middle) << 32 | u64::from(smallest);
+                sides[*position as usize] = Side { others, largest, side };
                 *position += 1;
+            };
+            if let Some(bucket) = self.of(d) {
+                list(bucket, 0, [b, c, d]);
+                list(bucket, 1, [a, c, d]);
+                list(bucket, 2, [a, b, d]);
+            }
+            if let Some(bucket) = self.of(c) {
+                list(bucket, 3, [a, b, c]);
             }
         }
         (sides, starts)
@@ -113,13 +126,14 @@ impl Buckets {
             let b = bucket - self.begin;
             chunks.iter().flat_map(move |(sides, starts)| &sides[starts[b] as usize..starts[b + 1] as usize])
         };
-        let group = |side: &Side| side.largest as usize - bucket * self.width;
-        let mut ends = vec![0u32; self.width + 1];
+        let width = 1usize << self.shift;
+        let group = |side: &Side| side.largest as usize & (width - 1);
+        let mut ends = vec![0u32; width + 1];
         sides().for_each(|side| ends[group(side) + 1] += 1);
-        for v in 0..self.width {
+        for v in 0..width {
             ends[v + 1] += ends[v];
         }
-        let mut faces = vec![(0u64, 0u32); ends[self.width] as usize];
+        let mut faces = vec![(0u64, 0u32); ends[width] as usize];
         for side in sides() {
             let position = &mut ends[group(side)];
             faces[*position as usize] = (side.others, side.side);
@@ -127,7 +141,7 @@ impl Buckets {
         }
         // Each entry has moved on to the end of its group.
         let mut begin = 0;
-        for end in &ends[..self.width] {
+        for end in &ends[..width] {
             let group = &mut faces[begin..*end as usize];
             begin = *end as usize;
             group.sort_unstable();
@@ -144,6 +158,17 @@ impl Buckets {
         }
         Ok(())
     }
+}
+
+/// The vertices of a tet, each before its number in the tet in the low two bits, ascending.
+#[inline]
+fn ascending(tet: &[u32; 4]) -> [u64; 4] {
+    let at = |v: usize| u64::from(tet[v]) << 2 | v as u64;
+    let in_order = |p: u64, q: u64| (p.min(q), p.max(q));
+    let ((a, b), (c, d)) = (in_order(at(0), at(1)), in_order(at(2), at(3)));
+    let ((a, c), (b, d)) = (in_order(a, c), in_order(b, d));
+    let (b, c) = in_order(b, c);
+    [a, b, c, d]
 }
 
 /// The neighbours of tets some of which were there before, with the neighbours `before`: `numbers` has for each its number

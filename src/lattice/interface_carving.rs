@@ -40,7 +40,7 @@ use glam::IVec3;
 use crate::index::Label;
 use crate::lattice::euler_ranges::EulerRanges;
 use crate::lattice::interface_topology::InterfaceTopology;
-use crate::lattice::red_green::{Elements, RedGreenLattice};
+use crate::lattice::red_green::{CHANGED, Elements, RedGreenLattice};
 
 /// What is known of the pieces of labels, to choose what may be joined.
 pub struct Regions {
@@ -59,8 +59,16 @@ pub enum Extent {
     Whole,
 }
 
-/// Cuts the elements around the pinched vertices and labels the inner parts; returns the number of vertices treated. `euler` are
-/// the Euler numbers that labels are to have, or none.
+/// What carving has done.
+pub struct Carved {
+    /// Vertices treated.
+    pub vertices: usize,
+    /// For each element its number before, or [`CHANGED`]; none where no vertex was treated.
+    pub numbers: Vec<u32>,
+}
+
+/// Cuts the elements around the pinched vertices and labels the inner parts. `euler` are the Euler numbers that labels are to
+/// have, or none.
 pub fn carve(
     lattice: &mut RedGreenLattice,
     elements: &mut Elements,
@@ -69,7 +77,7 @@ pub fn carve(
     regions: &Regions,
     euler: &[i64],
     extent: Extent,
-) -> usize {
+) -> Carved {
     let vertices = lattice.vertices.positions.len();
     let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices);
     let mut euler = (!euler.is_empty()).then(|| topology.euler_ranges(&elements.labels, euler));
@@ -93,10 +101,8 @@ pub fn carve(
         labels.push(label);
     }
     let treated = group_of.iter().filter(|g| **g != u32::MAX).count();
-    if treated > 0 {
-        cut(lattice, elements, &group_of, &labels);
-    }
-    treated
+    let numbers = if treated > 0 { cut(lattice, elements, &group_of, &labels) } else { Vec::new() };
+    Carved { vertices: treated, numbers }
 }
 
 /// Pinched vertices connected through edges.
@@ -176,10 +182,12 @@ fn label_for(
     })
 }
 
-/// Cuts every element with vertices in groups.
-fn cut(lattice: &mut RedGreenLattice, elements: &mut Elements, group_of: &[u32], labels: &[Label]) {
+/// Cuts every element with vertices in groups; the number before of each element, or [`CHANGED`].
+fn cut(lattice: &mut RedGreenLattice, elements: &mut Elements, group_of: &[u32], labels: &[Label]) -> Vec<u32> {
     let old = std::mem::take(elements);
-    for ((tet, own), leaf) in old.tets.iter().zip(&old.labels).zip(&old.leaves) {
+    let mut numbers = Vec::with_capacity(old.tets.len());
+    for (number, ((tet, own), leaf)) in (0u32..).zip(old.tets.iter().zip(&old.labels).zip(&old.leaves)) {
+        numbers.resize(elements.tets.len(), CHANGED);
         let group = tet.iter().map(|v| group_of[*v as usize]).find(|g| *g != u32::MAX);
         let mut push = |lattice: &RedGreenLattice, tet: [u32; 4], label: Label| {
             elements.tets.push(oriented(lattice, tet));
@@ -187,6 +195,7 @@ fn cut(lattice: &mut RedGreenLattice, elements: &mut Elements, group_of: &[u32],
             elements.leaves.push(*leaf);
         };
         let Some(group) = group else {
+            numbers.push(number);
             elements.tets.push(*tet);
             elements.labels.push(*own);
             elements.leaves.push(*leaf);
@@ -223,6 +232,8 @@ fn cut(lattice: &mut RedGreenLattice, elements: &mut Elements, group_of: &[u32],
             _ => push(lattice, *tet, filled),
         }
     }
+    numbers.resize(elements.tets.len(), CHANGED);
+    numbers
 }
 
 /// Three tets of a prism with triangles (0 1 2) and (3 4 5), 3 across 0: every side is cut at its smallest vertex, so that
@@ -251,7 +262,7 @@ fn oriented(lattice: &RedGreenLattice, tet: [u32; 4]) -> [u32; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lattice::face_adjacency::neighbors_of;
+    use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
 
     #[test]
     fn a_chain_gets_a_label_that_is_near_all_of_it() {
@@ -308,8 +319,12 @@ mod tests {
                     line.iter().filter(|v| topology.has_label(**v, Label(label), &elements.labels)).count()
                 };
                 let near = has(1).max(has(2));
-                let treated = carve(&mut lattice, &mut elements, &neighbors, &line, &regions, &[], extent);
-                (treated, near, line.len())
+                let carved = carve(&mut lattice, &mut elements, &neighbors, &line, &regions, &[], extent);
+                let after = neighbors_after(&neighbors, &carved.numbers, &elements.tets).unwrap();
+                assert_eq!(after, neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap());
+                let kept = carved.numbers.iter().filter(|n| **n != CHANGED).count();
+                assert!(kept > 0 && kept < neighbors.len());
+                (carved.vertices, near, line.len())
             })
         };
         let (treated, near, all) = carved(Extent::NearLabel);

@@ -34,7 +34,6 @@ use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::mesh_regions::regions_of;
-use crate::mesh::numbering::TET_FACES;
 
 /// A component of fewer voxels may be lost, and a loose piece of as many is told rather than lost.
 const SMALLEST_COMPONENT: usize = 8;
@@ -191,29 +190,41 @@ fn contains(corners: &[DVec3; 4], point: DVec3) -> bool {
 
 fn relabel(mesh: &mut CandidateMesh, loose: &[Vec<u32>]) -> Result<()> {
     let mut work = Clipping::new(mesh);
-    let neighbors = neighbors_of(&work.tets, work.points.len())?;
-    let topology = InterfaceTopology::new(&work.tets, &neighbors, work.points.len());
+    // Whether a surface pinches at a vertex of a piece depends on the elements there: the others are left out.
+    let mut is_near = vec![false; work.points.len()];
+    loose.iter().flatten().for_each(|t| work.tets[*t as usize].iter().for_each(|v| is_near[*v as usize] = true));
+    let numbers: Vec<u32> = (0..work.tets.len() as u32)
+        .into_par_iter()
+        .with_min_len(SWEPT_CHUNK)
+        .filter(|t| work.tets[*t as usize].iter().any(|v| is_near[*v as usize]))
+        .collect();
+    let tets: Vec<[u32; 4]> = numbers.iter().map(|t| work.tets[*t as usize]).collect();
+    let mut labels: Vec<Label> = numbers.iter().map(|t| work.labels[*t as usize]).collect();
+    let neighbors = neighbors_of(&tets, work.points.len())?;
+    let topology = InterfaceTopology::new(&tets, &neighbors, work.points.len());
     for piece in loose {
-        let own = work.labels[piece[0] as usize];
+        let piece: Vec<u32> = piece.iter().map(|t| numbers.partition_point(|n| n < t) as u32).collect();
+        let own = labels[piece[0] as usize];
         let mut around: Vec<Label> = Vec::new();
-        for (t, f) in piece.iter().flat_map(|t| (0..TET_FACES.len()).map(move |f| (*t, f))) {
-            let near = neighbors[t as usize][f];
-            if near != OUTSIDE && work.labels[near as usize] != own {
-                around.push(work.labels[near as usize]);
+        for near in piece.iter().flat_map(|t| neighbors[*t as usize]).filter(|near| *near != OUTSIDE) {
+            let label = labels[near as usize];
+            if label != own {
+                around.push(label);
             }
         }
         around.sort_unstable();
         let runs = around.chunk_by(|a, b| a == b).map(|run| (run.len(), run[0]));
         let candidates: Vec<(usize, Label)> = runs.collect();
-        let cost = |label: Label, labels: &mut Vec<Label>| topology.gain(piece, label, labels).max(0);
+        let cost = |label: Label, labels: &mut Vec<Label>| topology.gain(&piece, label, labels).max(0);
         let best = candidates
             .into_iter()
-            .min_by_key(|(faces, label)| (cost(*label, &mut work.labels), std::cmp::Reverse(*faces), *label));
+            .min_by_key(|(faces, label)| (cost(*label, &mut labels), std::cmp::Reverse(*faces), *label));
         // Nothing beside it: the piece is alone in a lattice that ends with it.
         let label = best.map_or(Label::BACKGROUND, |(_, label)| label);
-        for t in piece {
-            work.labels[*t as usize] = label;
-            work.tets[*t as usize].iter().for_each(|v| work.changed[*v as usize] = true);
+        for t in &piece {
+            labels[*t as usize] = label;
+            work.labels[numbers[*t as usize] as usize] = label;
+            tets[*t as usize].iter().for_each(|v| work.changed[*v as usize] = true);
         }
     }
     work.finish(mesh);
