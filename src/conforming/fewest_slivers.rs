@@ -9,13 +9,15 @@
 //! What is taken has no more slivers and no more tets that are bad off the boundary than what it replaces.
 //!
 //! # Cost
-//! A copy of the mesh, only where slivers are a large share: thin plates, needle parts.
+//! A copy of the mesh, only where slivers are a large share of up to a million tets: thin plates, needle parts.
 
 use crate::mesh::tet_complex::TetComplex;
 
-/// Share of slivers from which copies are kept. Between thin walls a third to nine tenths of the tets are slivers after a pass; where
-/// there are few no copy is worth its memory.
+/// Share of slivers from which copies are kept. Between thin walls a third to nine tenths of the tets are slivers after a
+/// pass; where there are few no copy is worth its memory.
 const MANY: f64 = 0.25;
+/// Most tets of a mesh that is copied, some 50 MB: a larger one may not double its memory for this.
+const MOST_TETS: usize = 1 << 20;
 
 /// What is wrong with a mesh; less is better.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -36,7 +38,8 @@ impl FewestSlivers {
     /// Keeps a copy of the mesh if slivers are a large share of it and it is better than what is kept.
     pub fn note(&mut self, complex: &TetComplex, sizes: &[f64], state: State) {
         let is_better = self.best.as_ref().is_none_or(|(best, ..)| state < *best);
-        if is_better && state.slivers as f64 > MANY * complex.finite_tets().count() as f64 {
+        let count = complex.live_count();
+        if is_better && count <= MOST_TETS && state.slivers as f64 > MANY * count as f64 {
             self.best = Some((state, complex.clone(), sizes.to_vec()));
         }
     }
