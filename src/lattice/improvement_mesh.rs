@@ -448,6 +448,18 @@ impl<'a> ImprovementMesh<'a> {
         slots
     }
 
+    /// Gives a tet another label; a vertex that no longer lies between two labels has no sides. Not within a trial.
+    pub fn relabel(&mut self, t: u32, label: Label) {
+        debug_assert!(!self.log.is_open());
+        self.labels[t as usize] = label;
+        for v in self.tets[t as usize] {
+            self.stars.invalidate(v);
+            if self.ball(v).iter().all(|n| self.labels[*n as usize] == label) {
+                self.side_set[v as usize] = 0;
+            }
+        }
+    }
+
     fn take_from_balls(&mut self, t: u32) {
         for v in std::mem::replace(&mut self.tets[t as usize], DEAD) {
             self.stars.invalidate(v);

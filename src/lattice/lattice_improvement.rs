@@ -45,6 +45,7 @@ use crate::lattice::subvoxel_surface::SubvoxelSurface;
 use crate::lattice::surface_approach::approach_surface;
 use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
+use crate::lattice::surface_relabelling::relabel_beyond_surface;
 use crate::lattice::volume_offsets::update_offsets;
 use crate::lattice::voxel_cleanup::CleanImage;
 
@@ -66,6 +67,9 @@ const ROUNDS: usize = RELAXATION_BOUNDS.len();
 /// longer fall.
 const CHORD_ROUNDS: std::ops::RangeInclusive<usize> = 1..=2;
 const CHORD: f64 = 0.2;
+
+const RELABELLING_ROUNDS: std::ops::RangeInclusive<usize> = 1..=2;
+const BEYOND: f64 = 0.1;
 
 /// Round after which edges shorter than this share of those around them are contracted: carved surfaces are full of them. The
 /// volumes that it costs come back in the rounds that follow; one round later 0.20 % are missing on the vessels.
@@ -165,6 +169,8 @@ pub struct ImprovementSummary {
     pub lowest: f64,
     /// Places that only a search through worse meshes made better.
     pub searched: usize,
+    /// Tets beyond their surface that took the label of the other side.
+    pub relabelled: usize,
     /// Places far off their surface that came nearer.
     pub approached: usize,
     /// Transformations made.
@@ -204,6 +210,9 @@ pub fn improve(
         let effort = Effort { wanted, surfaces, slack };
         if may_transform {
             loosen_all(&mut work);
+        }
+        if may_transform && RELABELLING_ROUNDS.contains(&round) {
+            summary.relabelled += relabel_beyond_surface(&mut work, BEYOND * voxel);
         }
         if may_transform && CHORD_ROUNDS.contains(&round) {
             work.refresh_stars();

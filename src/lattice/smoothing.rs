@@ -104,6 +104,7 @@ pub fn smooth(
     report.set("improvement.low_after", result.low_after as f64);
     report.set("improvement.lowest_score", result.lowest);
     report.set("improvement.searched", result.searched as f64);
+    report.set("improvement.relabelled", result.relabelled as f64);
     report.set("improvement.approached", result.approached as f64);
     report.set("improvement.crossings", result.crossings as f64);
     if result.crossings > 0 {
