@@ -44,8 +44,8 @@ use crate::lattice::short_edges::contract_short_edges;
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
 use crate::lattice::surface_approach::approach_surface;
 use crate::lattice::surface_crossings::count_crossings;
-use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
 use crate::lattice::surface_relabelling::relabel_beyond_surface;
+use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
 use crate::lattice::volume_offsets::update_offsets;
 use crate::lattice::voxel_cleanup::CleanImage;
 
@@ -68,8 +68,12 @@ const ROUNDS: usize = RELAXATION_BOUNDS.len();
 const CHORD_ROUNDS: std::ops::RangeInclusive<usize> = 1..=2;
 const CHORD: f64 = 0.2;
 
-const RELABELLING_ROUNDS: std::ops::RangeInclusive<usize> = 1..=2;
-const BEYOND: f64 = 0.1;
+/// Rounds in which tets beyond their surface take the label of the other side, and by how much their middles lie beyond it, in
+/// voxels of the smallest spacing. On 21 vessel trees the largest distances of the lumen are 0.91 voxel in the mean without,
+/// 0.68 with rounds 1 and 2 and 0.1, 0.65 with these, for 1 % fewer elements. Later rounds leave vertices of the outside off
+/// their surface: 0.67 instead of 0.58 voxel.
+const RELABELLING_ROUNDS: std::ops::RangeInclusive<usize> = 0..=2;
+const BEYOND: f64 = 0.05;
 
 /// Round after which edges shorter than this share of those around them are contracted: carved surfaces are full of them. The
 /// volumes that it costs come back in the rounds that follow; one round later 0.20 % are missing on the vessels.
@@ -117,13 +121,13 @@ const SEARCHES: [(Reach, f64); 4] = [(Reach::Tet, 0.2), (Reach::Tet, 0.3), (Reac
 /// Sweeps over what is low after each perturbation of a search, or step towards the surface.
 const SEARCH_SWEEPS: usize = 2;
 
-/// Round in which places that are far off their surface are brought nearer, whatever stands before them: rounds that bring the
+/// Rounds in which places that are far off their surface are brought nearer, whatever stands before them: rounds that bring the
 /// quality and the volumes back follow. At the end it moves half as many, and costs a quarter of a per cent of volume.
-const APPROACH_ROUND: usize = 2;
+const APPROACH_ROUNDS: std::ops::RangeInclusive<usize> = 2..=3;
 
 /// How far off such places are, in voxels of the smallest spacing: more is no distance, since the surface passes every voxel centre
 /// on its side.
-const FAR: [f64; 2] = [0.3, 1.5];
+const FAR: [f64; 2] = [0.2, 1.5];
 
 /// Tets of the mesh for each place that is tried to be brought nearer, and the least number of places.
 const TETS_PER_APPROACH: usize = 5000;
@@ -219,13 +223,13 @@ pub fn improve(
             summary.counts.chords += split_chords(&mut work, CHORD * voxel, RELAXATION_BOUNDS[round]);
         }
         raise_low_tets(&mut work, low, &effort, may_transform.then_some(&mut summary.counts), context)?;
-        if may_transform && round == APPROACH_ROUND {
+        if may_transform && APPROACH_ROUNDS.contains(&round) {
             let effort = Effort { wanted: RELAXATION_BOUNDS[round], surfaces: Surfaces::Stay, slack };
             let mut mend = |work: &mut ImprovementMesh, vertices: &[u32]| {
                 mend_around(work, vertices, &effort, Some(&mut summary.counts), context)
             };
             let budget = (work.tets.len() / TETS_PER_APPROACH).max(LEAST_APPROACHES);
-            summary.approached = approach_surface(&mut work, FAR.map(|f| f * voxel), effort.wanted, budget, &mut mend)?;
+            summary.approached += approach_surface(&mut work, FAR.map(|f| f * voxel), effort.wanted, budget, &mut mend)?;
         }
         if may_transform && round == SHORT_EDGE_ROUND {
             summary.counts.short_edges += contract_short_edges(&mut work, wanted, COARSENED, 1);

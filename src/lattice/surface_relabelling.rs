@@ -3,24 +3,24 @@
 //! # Method
 //! 1. A tet whose four vertices all lie on the surface between two labels is on neither side by its vertices. The lattice gave
 //!    it the label of its middle, which has moved since. It is listed where its middle lies beyond the surface by more than a
-//!    tolerance, the farthest first.
+//!    tolerance, the farthest first. Tets of the scaffold are such tets of the background, at the outer surface.
 //! 2. It takes the other label where it touches that label in two or three of its faces and nothing else, and its own in the
 //!    rest of its faces and nothing else: the surface goes over the tet from one side to the other and stays of one piece,
 //!    without holes, and no edge or vertex is pinched.
 //! 3. What this uncovers is looked at again, until nothing is beyond.
 //! ```text
-//!     a tet of the wall across a thin vessel            the vessel is open
-//!       a   ____                                        ____
-//!     _____/   /\_____                           ______/    \_____
-//!     b     \ /a \    b         ->               b   b        b    b
-//!     _______/____\___                           __________________
+//!     wall    wall                      wall    wall
+//!     -----p-------q-----               -----p-------q-----
+//!     vessel \wall/ vessel      ->      vessel \   /  vessel      all corners on the surface, two faces to the vessel
+//!     ---------r---------               ---------r---------
+//!             wall                              wall
 //! ```
 //!
 //! # Source
 //! [BertrandMalandain1994] for what keeps the topology: both what is beside and what is left form one disc.
 //!
 //! # Invariants
-//! No two labels touch that did not. Points and tets stay as they are.
+//! No two labels touch that did not; every label keeps its pieces, holes and cavities. Points and tets stay as they are.
 //!
 //! # Cost
 //! One distance per tet whose vertices all lie on one surface, in parallel; the changes are few.
@@ -29,6 +29,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::index::Label;
+use crate::lattice::element_score::{Part, tet_score};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::subvoxel_surface::Side;
 
@@ -73,14 +74,16 @@ fn labels_of(mesh: &ImprovementMesh, t: u32) -> Option<[Label; 2]> {
     }
     let own = mesh.labels[t as usize];
     let other = if own == a { b } else { a };
-    (own == a || own == b).then_some([own, other]).filter(|labels| labels.iter().all(|l| !l.is_background()))
+    (own == a || own == b).then_some([own, other])
 }
 
 /// How far the middle of a tet lies beyond its surface, mm, where that is more than `tolerance`.
 fn depth_beyond(mesh: &ImprovementMesh, t: u32, tolerance: f64) -> Option<f64> {
     let [own, other] = labels_of(mesh, t)?;
     let middle = mesh.corners(t).into_iter().sum::<DVec3>() / 4.0;
-    mesh.surface.depth(middle, other, own).filter(|depth| *depth > tolerance)
+    // Only the scaffold may have inverted tets.
+    let is_sound = || mesh.part(t) == Part::Mesh || tet_score(mesh.corners(t)) > 0.0;
+    mesh.surface.depth(middle, other, own).filter(|depth| *depth > tolerance && is_sound())
 }
 
 /// The label that a tet may take without a change of topology.
@@ -117,4 +120,103 @@ fn label_beyond(mesh: &ImprovementMesh, t: u32) -> Option<Label> {
         _ => false,
     };
     keeps.then_some(other)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::context::RunContext;
+    use crate::geometry::tetrahedron::volume6;
+    use crate::index::VertexId;
+    use crate::lattice::boundary_targets::SourcePoints;
+    use crate::lattice::candidate_mesh::CandidateMesh;
+    use crate::lattice::face_adjacency::neighbors_of;
+    use crate::lattice::options::{Options, PARAMETERS};
+    use crate::lattice::subvoxel_surface::SubvoxelSurface;
+    use crate::lattice::test_images::voxel_image;
+    use crate::mesh::validation::check_mixed_mesh;
+    use crate::parameters::ParameterSet;
+
+    /// The tet in the middle of [`with_inner_tet`].
+    const INNER: u32 = 14;
+
+    /// Works on a tet of label 1 with the corners 0 to 3 in a larger one with the corners 4 to 7, turned against it: each set
+    /// of inner corners makes a tet with the outer ones of the others. Those of `sets` have label 2, the rest 1; the middle lies
+    /// 0.8 mm within label 2.
+    fn with_inner_tet<T>(sets: &[usize], work: impl FnOnce(ImprovementMesh) -> T) -> T {
+        let corners = [[-1.0, -1.0, -1.0], [1.0, 1.0, -1.0], [1.0, -1.0, 1.0], [-1.0, 1.0, 1.0]].map(DVec3::from);
+        let middle = DVec3::new(3.7, 4.0, 4.0);
+        let inner = corners.map(|c| middle + 0.3 * c);
+        let points: Vec<DVec3> = inner.into_iter().chain(corners.map(|c| middle - 2.0 * c)).collect();
+        let positive = |mut tet: [u32; 4]| {
+            if volume6(tet.map(|v| points[v as usize])) < 0.0 {
+                tet.swap(2, 3);
+            }
+            tet
+        };
+        let of_set = |set: usize| positive([0, 1, 2, 3].map(|v| if set >> v & 1 == 1 { v } else { 4 + v }));
+        let rows: Vec<[u32; 4]> = (1..16).map(of_set).collect();
+        let tets: Vec<[VertexId; 4]> = rows.iter().map(|tet| tet.map(VertexId)).collect();
+        let tet_labels: Vec<Label> = (1..16).map(|set| Label(1 + u16::from(sets.contains(&set)))).collect();
+        let image = voxel_image(9, |p| if p.x < 4.5 { 2 } else { 1 });
+        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
+        let neighbors = neighbors_of(&rows, points.len()).unwrap();
+        let sources = SourcePoints::new(&points, &tets, &tet_labels, &neighbors, &surface, &[]);
+        let mut mesh = CandidateMesh { points, tets, tet_labels, ..CandidateMesh::default() };
+        work(ImprovementMesh::new(&mut mesh, &sources, surface))
+    }
+
+    #[test]
+    fn a_tet_beyond_its_surface_changes_sides_only_where_topology_stays() {
+        let label = |sets: &[usize]| {
+            with_inner_tet(sets, |mesh| {
+                assert!((depth_beyond(&mesh, INNER, 0.0).unwrap() - 0.8).abs() < 0.1);
+                label_beyond(&mesh, INNER)
+            })
+        };
+        // Label 2 behind the faces opposite to the corners 0 and 1 and around the edge 2 3 between them.
+        assert_eq!(label(&[0b1110, 0b1101, 0b1100]), Some(Label(2)));
+        // Also at the edge 0 1, where a ring of label 2 would close; not around the edge 2 3, where label 1 would be pinched.
+        assert_eq!(label(&[0b1110, 0b1101, 0b1100, 0b0011]), None);
+        assert_eq!(label(&[0b1110, 0b1101]), None);
+        // All around the corner 3, and not quite.
+        let around = [0b1110, 0b1101, 0b1011, 0b1001, 0b1010, 0b1100, 0b1000];
+        assert_eq!(label(&around), Some(Label(2)));
+        assert_eq!(label(&around[..6]), None);
+        // A piece of label 1 of its own would be lost; a face and the corner 0 would join two parts of label 2.
+        assert_eq!(label(&[0b1110, 0b1101, 0b1011, 0b0111]), None);
+        assert_eq!(label(&[0b1110, 0b0001]), None);
+    }
+
+    #[test]
+    fn a_corner_that_the_surface_passed_over_is_inside() {
+        with_inner_tet(&[0b1110, 0b1101, 0b1011, 0b1001, 0b1010, 0b1100, 0b1000], |mut mesh| {
+            assert!(mesh.is_on_surface(3));
+            mesh.relabel(INNER, Label(2));
+            assert!(!mesh.is_on_surface(3) && mesh.is_on_surface(0));
+        });
+    }
+
+    #[test]
+    fn a_thin_vessel_that_forks_is_open_and_its_wall_has_no_tets_within() {
+        // Two arms of 1.4 voxels radius that leave a trunk, in a wall of 1.4 voxels.
+        let fork = DVec3::new(17.3, 17.8, 16.6);
+        let ends = [[17.3, 17.8, 5.0], [8.1, 13.2, 28.3], [25.4, 21.1, 29.2]].map(DVec3::from);
+        let distance = |p: DVec3| {
+            let along = |end: &DVec3| {
+                let (way, q) = (*end - fork, p - fork);
+                (q - way * (q.dot(way) / way.length_squared()).clamp(0.0, 1.0)).length() - 1.4
+            };
+            ends.iter().map(along).fold(f64::INFINITY, f64::min)
+        };
+        let image = voxel_image(36, |p| if distance(p) < 0.0 { 1 } else { 2 * u16::from(distance(p) < 1.4) });
+        let options = Options::from_parameters(&ParameterSet::new(PARAMETERS)).unwrap();
+        let (output, report) = crate::lattice::run(&image, &options, &RunContext::with_threads(1).unwrap()).unwrap();
+        check_mixed_mesh(&output.mesh).unwrap();
+        assert!(report.statistics().value("improvement.relabelled").unwrap() > 0.0);
+        let tets = output.mesh.connectivity.chunks_exact(4).zip(&output.mesh.labels);
+        let middle = |tet: &[VertexId]| tet.iter().map(|v| output.mesh.points[v.index()]).sum::<DVec3>() / 4.0;
+        let deepest = tets.filter(|(_, label)| **label == 2).map(|(tet, _)| -distance(middle(tet))).fold(0.0, f64::max);
+        assert!(deepest < 0.4, "{deepest}");
+    }
 }
