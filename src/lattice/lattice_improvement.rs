@@ -229,7 +229,8 @@ pub fn improve(
                 mend_around(work, vertices, &effort, Some(&mut summary.counts), context)
             };
             let budget = (work.tets.len() / TETS_PER_APPROACH).max(LEAST_APPROACHES);
-            summary.approached += approach_surface(&mut work, FAR.map(|f| f * voxel), effort.wanted, budget, &mut mend)?;
+            summary.approached +=
+                approach_surface(&mut work, FAR.map(|f| f * voxel), effort.wanted, budget, &mut mend)?;
         }
         if may_transform && round == SHORT_EDGE_ROUND {
             summary.counts.short_edges += contract_short_edges(&mut work, wanted, COARSENED, 1);

@@ -6,7 +6,10 @@
 //! `SMALLEST_COMPONENT` voxel centres inside):
 //! 1. Every component of the image (through faces) with a voxel in the piece must have a voxel in another piece of the label:
 //!    pieces that stand for a component of their own stay.
-//! 2. The piece takes the label behind most of its faces, one that makes no vertex pinch if there is one.
+//! 2. A piece stays too where it holds a voxel that is far from every voxel that other pieces of its label hold, as the end of
+//!    a thread one voxel thick: without it that part of the tissue would have no mesh near it. Not where sub-meshes are to be
+//!    manifold and of as many components as the image has.
+//! 3. The piece takes the label behind most of its faces, one that makes no vertex pinch if there is one.
 //!
 //! Smaller pieces are first, so that of several pieces of a small component the largest stays.
 //!
@@ -41,30 +44,58 @@ const SMALLEST_COMPONENT: usize = 8;
 /// Pieces of more than this many voxels' volume hold `SMALLEST_COMPONENT` voxel centres, and are not looked at.
 const LARGEST_VOLUME: f64 = 24.0;
 
+/// How far a voxel of a piece is from every other that is held where the piece stays, in voxel diagonals. What other pieces reach
+/// ends a little beyond their voxels, and smoothing shortens tips: the mesh is to be within two diagonals of the tissue.
+const FAR: f64 = 1.5;
+
 /// Elements per parallel work item.
 const SWEPT_CHUNK: usize = 4096;
 
+/// Voxels along a block in which elements are looked for.
+const BLOCK: u32 = 4;
+
 /// Where voxel centres are taken to lie, off any face of the lattice, in voxels.
 const OFF_CENTER: DVec3 = DVec3::new(1.0e-6, 1.37e-6, 1.91e-6);
+
+/// What becomes of loose pieces far from the rest of their label.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FarPieces {
+    /// They stay, for the distance of the mesh to its tissue.
+    Stay,
+    /// They go, for the number of components.
+    Go,
+}
 
 /// Relabels the loose pieces of a mesh before it is smoothed; returns how many.
 ///
 /// # Errors
 /// Those of [`neighbors_of`].
-pub fn relabel_loose_pieces(mesh: &mut CandidateMesh, neighbors: &[[u32; 4]], image: &LabelImage) -> Result<usize> {
+pub fn relabel_loose_pieces(
+    mesh: &mut CandidateMesh,
+    neighbors: &[[u32; 4]],
+    image: &LabelImage,
+    far: FarPieces,
+) -> Result<usize> {
     let pieces = small_pieces(mesh, neighbors, image);
     if pieces.is_empty() {
         return Ok(0);
     }
     let components = Components::new(image, Connectivity::Face, Members::Foreground);
     let inside = VoxelsInside { image, components: &components };
-    let held: Vec<Vec<u32>> =
+    let held: Vec<Vec<Held>> =
         pieces.iter().map(|(_, piece)| piece.iter().flat_map(|t| inside.of(mesh, *t)).collect()).collect();
     let mut left = Left::new(mesh, &inside, &pieces, &held, image.label_count());
+    let may_go = |left: &Left, label: Label, piece: &[u32], held: &[Held]| {
+        held.len() < SMALLEST_COMPONENT && left.is_enough_without(label, piece, held)
+    };
+    let candidates = pieces.iter().zip(&held).filter(|((label, piece), held)| may_go(&left, *label, piece, held));
+    let sought: Vec<Held> = candidates.flat_map(|(_, held)| held).filter(|_| far == FarPieces::Stay).copied().collect();
+    let mut reached = Reached::around(mesh, &inside, &sought);
     let mut loose: Vec<Vec<u32>> = Vec::new();
     for ((label, piece), held) in pieces.into_iter().zip(held) {
-        if held.len() < SMALLEST_COMPONENT && left.is_enough_without(label, &piece, &held) {
+        if may_go(&left, label, &piece, &held) && (far == FarPieces::Go || reached.is_enough_without(&inside, &held)) {
             left.take(label, &piece, &held);
+            reached.take(&held);
             loose.push(piece);
         }
     }
@@ -105,12 +136,12 @@ impl Left {
         mesh: &CandidateMesh,
         inside: &VoxelsInside,
         pieces: &[(Label, Vec<u32>)],
-        held: &[Vec<u32>],
+        held: &[Vec<Held>],
         labels: usize,
     ) -> Self {
         let mut elements = vec![0; labels];
         mesh.tet_labels.iter().for_each(|l| elements[l.index()] += 1);
-        let sought: FxHashSet<u32> = held.iter().flatten().copied().collect();
+        let sought: FxHashSet<u32> = held.iter().flatten().map(|h| h.component).collect();
         let mut is_sought = vec![false; labels];
         pieces
             .iter()
@@ -118,7 +149,7 @@ impl Left {
             .filter(|(_, held)| !held.is_empty())
             .for_each(|((l, _), _)| is_sought[l.index()] = true);
         let add = |mut voxels: FxHashMap<u32, usize>, t: u32| {
-            let found = inside.of(mesh, t).into_iter().filter(|c| sought.contains(c));
+            let found = inside.of(mesh, t).into_iter().map(|h| h.component).filter(|c| sought.contains(c));
             found.for_each(|c| *voxels.entry(c).or_default() += 1);
             voxels
         };
@@ -133,17 +164,60 @@ impl Left {
     }
 
     /// Whether the label keeps an element without a piece, and each component that the piece holds a voxel elsewhere.
-    fn is_enough_without(&self, label: Label, piece: &[u32], held: &[u32]) -> bool {
-        let in_piece = |component: &u32| held.iter().filter(|c| *c == component).count();
+    fn is_enough_without(&self, label: Label, piece: &[u32], held: &[Held]) -> bool {
+        let in_piece = |component: u32| held.iter().filter(|h| h.component == component).count();
         self.elements[label.index()] > piece.len()
-            && held.iter().all(|c| self.voxels.get(c).is_some_and(|all| *all > in_piece(c)))
+            && held.iter().all(|h| self.voxels.get(&h.component).is_some_and(|all| *all > in_piece(h.component)))
     }
 
     /// A piece goes.
-    fn take(&mut self, label: Label, piece: &[u32], held: &[u32]) {
+    fn take(&mut self, label: Label, piece: &[u32], held: &[Held]) {
         self.elements[label.index()] -= piece.len();
-        held.iter().for_each(|c| *self.voxels.entry(*c).or_insert(1) -= 1);
+        held.iter().for_each(|h| *self.voxels.entry(h.component).or_insert(1) -= 1);
     }
+}
+
+/// The voxels near those of some pieces that elements of their own labels hold.
+struct Reached(FxHashSet<[u32; 3]>);
+
+impl Reached {
+    /// Those near `sought`.
+    fn around(mesh: &CandidateMesh, inside: &VoxelsInside, sought: &[Held]) -> Self {
+        let near: FxHashSet<[u32; 3]> = sought.iter().flat_map(|h| inside.near(h.voxel)).collect();
+        if near.is_empty() {
+            return Self(near);
+        }
+        // Few elements have anything to do with them: those whose box has a part in a block of voxels with one of them.
+        let blocks: FxHashSet<[u32; 3]> = near.iter().map(|v| v.map(|c| c / BLOCK)).collect();
+        let tets = (0..mesh.tets.len() as u32).into_par_iter().with_min_len(SWEPT_CHUNK);
+        let is_near = |t: &u32| {
+            let Some((_, [low, high])) = inside.voxel_box(mesh, *t) else { return false };
+            let [x, y, z] = std::array::from_fn(|d| low[d] / BLOCK..=high[d] / BLOCK);
+            x.into_iter().any(|x| y.clone().any(|y| z.clone().any(|z| blocks.contains(&[x, y, z]))))
+        };
+        let held = tets.filter(is_near).flat_map_iter(|t| inside.of(mesh, t)).map(|h| h.voxel);
+        Self(held.filter(|v| near.contains(v)).collect())
+    }
+
+    /// Whether other pieces hold a voxel of the label near each of a piece.
+    fn is_enough_without(&self, inside: &VoxelsInside, held: &[Held]) -> bool {
+        let is_own = |v: &[u32; 3]| held.iter().any(|h| h.voxel == *v);
+        held.iter().all(|h| inside.near(h.voxel).any(|v| self.0.contains(&v) && !is_own(&v)))
+    }
+
+    /// A piece goes.
+    fn take(&mut self, held: &[Held]) {
+        held.iter().for_each(|h| {
+            self.0.remove(&h.voxel);
+        });
+    }
+}
+
+/// A voxel whose centre lies in an element of its label, and its component of the image.
+#[derive(Debug, Clone, Copy)]
+struct Held {
+    component: u32,
+    voxel: [u32; 3],
 }
 
 /// Which voxel centres lie in an element.
@@ -153,29 +227,48 @@ struct VoxelsInside<'a> {
 }
 
 impl VoxelsInside<'_> {
-    /// The components of the voxels of its own label in an element, one entry for each voxel.
-    fn of(&self, mesh: &CandidateMesh, tet: u32) -> Vec<u32> {
-        let (grid, label) = (self.image.grid(), mesh.tet_labels[tet as usize]);
+    /// The corners of an element in voxels, and the first and last voxel whose centres its box holds.
+    fn voxel_box(&self, mesh: &CandidateMesh, tet: u32) -> Option<([DVec3; 4], [[u32; 3]; 2])> {
+        let grid = self.image.grid();
         let corners = mesh.tets[tet as usize].map(|v| mesh.points[v.index()] / grid.spacing() - OFF_CENTER);
-        let low = corners.into_iter().fold(DVec3::INFINITY, DVec3::min).ceil().max(DVec3::ZERO).as_u64vec3();
-        let high = corners.into_iter().fold(DVec3::NEG_INFINITY, DVec3::max).floor();
+        let low = corners.into_iter().fold(DVec3::INFINITY, DVec3::min).ceil().max(DVec3::ZERO);
+        let last = DVec3::from_array(grid.size().map(|n| n as f64 - 1.0));
+        let high = corners.into_iter().fold(DVec3::NEG_INFINITY, DVec3::max).floor().min(last);
+        low.cmple(high).all().then(|| (corners, [low, high].map(|v| v.as_uvec3().to_array())))
+    }
+
+    /// The voxels of its own label in an element.
+    fn of(&self, mesh: &CandidateMesh, tet: u32) -> Vec<Held> {
+        let label = mesh.tet_labels[tet as usize];
         let mut found = Vec::new();
-        if high.min_element() < 0.0 {
-            return found;
-        }
-        let [ni, nj, nk] = grid.size().map(|n| n as u64 - 1);
-        let high = high.as_u64vec3();
-        for k in low.z..=high.z.min(nk) {
-            for j in low.y..=high.y.min(nj) {
-                for i in low.x..=high.x.min(ni) {
-                    let [i, j, k] = [i, j, k].map(|v| v as usize);
-                    if self.image.at(i, j, k) == label && contains(&corners, DVec3::new(i as f64, j as f64, k as f64)) {
-                        found.extend(self.components.component_at(i, j, k));
+        let Some((corners, [low, high])) = self.voxel_box(mesh, tet) else { return found };
+        for k in low[2]..=high[2] {
+            for j in low[1]..=high[1] {
+                for i in low[0]..=high[0] {
+                    let [x, y, z] = [i, j, k].map(|v| v as usize);
+                    let center = DVec3::new(f64::from(i), f64::from(j), f64::from(k));
+                    if self.image.at(x, y, z) == label && contains(&corners, center) {
+                        let component = self.components.component_at(x, y, z);
+                        found.extend(component.map(|component| Held { component, voxel: [i, j, k] }));
                     }
                 }
             }
         }
         found
+    }
+
+    /// The voxels of the label of a voxel that are not far from it, with itself.
+    fn near(&self, voxel: [u32; 3]) -> impl Iterator<Item = [u32; 3]> {
+        let grid = self.image.grid();
+        let reach = FAR * grid.spacing().length();
+        let steps = (reach / grid.spacing()).as_uvec3().to_array();
+        let size = grid.size();
+        let range = move |d: usize| voxel[d].saturating_sub(steps[d])..=(voxel[d] + steps[d]).min(size[d] as u32 - 1);
+        let at = |[i, j, k]: [u32; 3]| self.image.at(i as usize, j as usize, k as usize);
+        let label = at(voxel);
+        let center = |v: [u32; 3]| DVec3::from_array(v.map(f64::from)) * grid.spacing();
+        let box_around = range(2).flat_map(move |k| range(1).flat_map(move |j| range(0).map(move |i| [i, j, k])));
+        box_around.filter(move |v| at(*v) == label && center(*v).distance(center(voxel)) <= reach)
     }
 }
 
@@ -238,13 +331,13 @@ mod tests {
     use crate::lattice::scaffold::Scaffold;
     use crate::lattice::test_images::voxel_image;
 
-    /// Two tets of a column, one or both of label 1, and a background tet between them and a third one above.
-    fn column() -> CandidateMesh {
+    /// A column of three prisms, the lower and the upper one of label 1, the upper one from a height on; the middle one is
+    /// background.
+    fn column(upper: f64) -> CandidateMesh {
         let corner = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
         let mut points = Vec::new();
-        // A stack of triangles, three tets to a prism; levels at z = 0, 1, 2, 3.
-        for level in 0..4 {
-            let z = f64::from(level) + 0.6;
+        // A stack of triangles, three tets to a prism.
+        for z in [0.6, 1.6, upper, upper + 1.0] {
             points.extend([corner(0.5, 0.5, z), corner(2.6, 0.5, z), corner(0.5, 2.6, z)]);
         }
         let prism = |l: u32| {
@@ -266,9 +359,13 @@ mod tests {
     }
 
     fn pieces_left(image: &LabelImage) -> (usize, usize) {
-        let mut mesh = column();
+        pieces_left_of(column(2.6), image, FarPieces::Stay)
+    }
+
+    /// How many loose pieces went, and how many pieces are left.
+    fn pieces_left_of(mut mesh: CandidateMesh, image: &LabelImage, far: FarPieces) -> (usize, usize) {
         let neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len()).unwrap();
-        let loose = relabel_loose_pieces(&mut mesh, &neighbors, image).unwrap();
+        let loose = relabel_loose_pieces(&mut mesh, &neighbors, image, far).unwrap();
         let neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len()).unwrap();
         (loose, regions_of(&mesh.tet_labels, &neighbors).len())
     }
@@ -292,5 +389,16 @@ mod tests {
         assert_eq!(pieces_left(&above), (1, 1));
         let aside = voxel_image(6, |p| u16::from(p == DVec3::splat(5.0)));
         assert_eq!(pieces_left(&aside), (1, 1));
+    }
+
+    #[test]
+    fn the_end_of_a_thread_stays_unless_components_count() {
+        // Voxel (1, 1, 1) is in the lower prism, (1, 1, 5) or, within reach, (1, 1, 3) in the upper one.
+        for (height, far, left) in
+            [(5.0, FarPieces::Stay, (0, 2)), (5.0, FarPieces::Go, (1, 1)), (3.0, FarPieces::Stay, (1, 1))]
+        {
+            let thread = voxel_image(8, |p| u16::from(p.x == 1.0 && p.y == 1.0 && p.z >= 1.0 && p.z <= height));
+            assert_eq!(pieces_left_of(column(height - 0.4), &thread, far), left, "{height} {far:?}");
+        }
     }
 }

@@ -28,7 +28,7 @@ use crate::lattice::boundary_targets::{SourcePoints, TargetPoints};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::face_adjacency::neighbors_of;
 use crate::lattice::lattice_improvement::{ImprovementOptions, Transformations, improve};
-use crate::lattice::loose_pieces::relabel_loose_pieces;
+use crate::lattice::loose_pieces::{FarPieces, relabel_loose_pieces};
 use crate::lattice::options::Options;
 use crate::lattice::progress_shares;
 use crate::lattice::report::Report;
@@ -62,7 +62,8 @@ pub fn smooth(
     let planes = report.timed("border", || clip_at_border(mesh, &surface))?;
     report.set("smoothing.border_planes", planes.len() as f64);
     let mut neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len())?;
-    let loose = report.timed("loose_pieces", || relabel_loose_pieces(mesh, &neighbors, image))?;
+    let far = if options.check_mesh_topology { FarPieces::Go } else { FarPieces::Stay };
+    let loose = report.timed("loose_pieces", || relabel_loose_pieces(mesh, &neighbors, image, far))?;
     if loose > 0 {
         neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len())?;
     }

@@ -54,7 +54,8 @@ pub fn relabel_beyond_surface(mesh: &mut ImprovementMesh, tolerance: f64) -> usi
                 around.extend(mesh.tets[t as usize]);
             }
         }
-        beyond = mesh.tets_of(around).into_iter().filter_map(|t| Some((depth_beyond(mesh, t, tolerance)?, t))).collect();
+        beyond =
+            mesh.tets_of(around).into_iter().filter_map(|t| Some((depth_beyond(mesh, t, tolerance)?, t))).collect();
         if beyond.is_empty() {
             break;
         }
