@@ -35,7 +35,7 @@ use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
 use crate::lattice::euler_ranges::EulerRanges;
 use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
 use crate::lattice::image_contacts::ImageContacts;
-use crate::lattice::interface_carving::{Extent, carve};
+use crate::lattice::interface_carving::{Extent, Pinches, carve};
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::mesh_regions::{
     component_counts, fill_unseen_regions, joinable_regions, number_by_image, regions_of, relabel_loose_regions,
@@ -494,8 +494,11 @@ impl Rounds<'_> {
         let mut is_carved = false;
         for round in 1..=CARVING_ROUNDS {
             let vertices = lattice.vertices.positions.len();
-            let pinched = InterfaceTopology::new(&elements.tets, &neighbors, vertices).pinched(&elements.labels);
-            if pinched.is_empty() {
+            let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
+            let contacts = ImageContacts::new(lattice, &elements.tets, &neighbors);
+            let breached = contacts.breached(&elements.labels, &topology);
+            let pinches = Pinches::new(topology.pinched(&elements.labels), breached);
+            if pinches.vertices.is_empty() {
                 break;
             }
             let regions = regions_of(&elements.labels, &neighbors);
@@ -503,7 +506,7 @@ impl Rounds<'_> {
             let mut joinable = joinable_regions(elements, &regions, surplus);
             number_by_image(&mut joinable, &regions, lattice, elements, &self.components);
             let extent = if round < CARVING_ROUNDS { Extent::NearLabel } else { Extent::Whole };
-            let carved = carve(lattice, elements, &neighbors, &pinched, &joinable, &self.euler, extent);
+            let carved = carve(lattice, elements, &neighbors, &pinches, &joinable, &self.euler, extent);
             self.report.add("topology.carved_vertices", carved.vertices as f64);
             if carved.vertices == 0 {
                 break;

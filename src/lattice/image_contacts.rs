@@ -1,8 +1,10 @@
 //! Which labels touch in the image, so that a relabelling does not pierce a wall that is one element thick.
 //!
 //! # Method
-//! Elements may take a label only if each label that they then have a face with lies face to face with it in the image, near
-//! that face.
+//! 1. Elements may take a label only if each label that they then have a face with lies face to face with it in the image, near
+//!    that face.
+//! 2. A face between labels that the image keeps apart is a breach where a label beside it touches both: the lattice has opened
+//!    a wall.
 //! ```text
 //!    1 1 2 0 0        a wall (2) one voxel thick: labels 1 and 0 meet at corners of voxels only. Where the wall pinches at a
 //!    1 1 1 2 0        vertex, giving elements of the wall to label 1 or 0 would mend the pinch, and open the wall;
@@ -15,16 +17,21 @@
 //! A relabelling makes no contact between labels that the image keeps apart there.
 
 use glam::{DVec3, IVec3};
+use rayon::prelude::*;
 
 use crate::index::Label;
 use crate::lattice::bcc_lattice::{Field, floor_of};
 use crate::lattice::face_adjacency::OUTSIDE;
+use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::red_green::RedGreenLattice;
 use crate::mesh::numbering::TET_FACES;
 
 /// A contact of the image counts up to this far from the face, in voxels along each axis: elements at boundaries are up to two
 /// voxels long.
 const REACH: i32 = 2;
+
+/// Elements per parallel work item.
+const CHUNK: usize = 4096;
 
 /// Elements whose contacts are compared with those of the image.
 pub struct ImageContacts<'a> {
@@ -55,6 +62,41 @@ impl<'a> ImageContacts<'a> {
                     || touch_near(&self.lattice.field, self.center(*e, face), [label, other])
             })
         })
+    }
+
+    /// The vertices of breaches, each once, in order.
+    pub fn breached(&self, labels: &[Label], topology: &InterfaceTopology) -> Vec<u32> {
+        let sides = |e: u32, face: usize| {
+            let near = self.neighbors[e as usize][face];
+            (near != OUTSIDE).then(|| [labels[e as usize], labels[near as usize]])
+        };
+        let touch = |e: u32, face: usize, pair: [Label; 2]| touch_near(&self.lattice.field, self.center(e, face), pair);
+        let is_apart = |e: u32, face: usize| sides(e, face).is_some_and(|s| s[0] < s[1] && !touch(e, face, s));
+        let elements = (0..self.tets.len() as u32).into_par_iter().with_min_len(CHUNK);
+        let apart: Vec<(u32, usize)> =
+            elements.flat_map_iter(|e| (0..4).filter(move |f| is_apart(e, *f)).map(move |f| (e, f))).collect();
+        let mut vertices = Vec::new();
+        for (e, face) in apart {
+            let corners = TET_FACES[face].map(|v| self.tets[e as usize][v]);
+            let Some([one, other]) = sides(e, face) else { continue };
+            let is_wall = |near: &u32| {
+                let label = labels[*near as usize];
+                label != one && label != other && touch(e, face, [label, one]) && touch(e, face, [label, other])
+            };
+            if topology.elements_around(&corners).iter().any(is_wall) {
+                vertices.extend(corners);
+            }
+        }
+        vertices.sort_unstable();
+        vertices.dedup();
+        vertices
+    }
+
+    /// Whether the image keeps a label apart from that of an element, near its centroid.
+    pub fn keeps_apart(&self, element: u32, labels: &[Label], label: Label) -> bool {
+        let own = labels[element as usize];
+        let center = self.lattice.centroid(&self.tets[element as usize]);
+        own != label && !touch_near(&self.lattice.field, center, [label, own])
     }
 
     /// Centroid of a face, local frame, mm.
@@ -121,6 +163,38 @@ mod tests {
                 }
             }
             assert!(allowed > 50 && refused > 10, "{allowed} {refused}");
+        });
+    }
+
+    #[test]
+    fn a_face_between_labels_that_a_wall_keeps_apart_is_a_breach() {
+        let image = voxel_image(9, |p| if p.x < 4.0 { 1 } else { 2 + u16::from(p.x >= 5.0) });
+        with_lattice(&image, 1.0, |lattice, context| {
+            let elements = lattice.elements(context).unwrap();
+            let vertices = lattice.vertices.positions.len();
+            let neighbors = neighbors_of(&elements.tets, vertices).unwrap();
+            let contacts = ImageContacts::new(&lattice, &elements.tets, &neighbors);
+            let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
+            assert_eq!(contacts.breached(&elements.labels, &topology), []);
+            // The elements of the wall on one side of a vertex of it go to label 3.
+            let place = |v: u32| lattice.frame.local(lattice.vertices.positions[v as usize]);
+            let off = |v: &u32| place(*v).distance(DVec3::new(4.0, 4.5, 4.5));
+            let middle = (0..vertices as u32).min_by(|l, r| off(l).total_cmp(&off(r))).unwrap();
+            let mut labels = elements.labels.clone();
+            for e in topology.elements_around(&[middle]) {
+                if labels[e as usize] == Label(2) && lattice.centroid(&elements.tets[e as usize]).y < 4.4 {
+                    labels[e as usize] = Label(3);
+                }
+            }
+            let breached = contacts.breached(&labels, &topology);
+            assert!(
+                !breached.is_empty() && breached.iter().all(|v| place(*v).distance(place(middle)) < 1.8),
+                "{breached:?}"
+            );
+            // The wall is what may stand between.
+            let around = topology.elements_around(&breached);
+            let apart = |label: u16| around.iter().filter(|e| contacts.keeps_apart(**e, &labels, Label(label))).count();
+            assert!(apart(1) > 0 && apart(3) > 0 && apart(2) == 0, "{} {} {}", apart(1), apart(2), apart(3));
         });
     }
 

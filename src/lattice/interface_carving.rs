@@ -1,4 +1,5 @@
-//! Surfaces that still pinch are made manifold by giving a neighbourhood of the pinch to one label.
+//! Surfaces that still pinch are made manifold by giving a neighbourhood of the pinch to one label; walls that the lattice has
+//! opened are closed likewise.
 //!
 //! # Method
 //! 1. The pinched vertices span a subcomplex. Every element with some of its vertices pinched is cut between them and the
@@ -8,6 +9,8 @@
 //!    not one that would join two components of the image. The vertices that do not have the label are left for another
 //!    round, with other labels, while rounds are left. Where Euler numbers are to be kept, first of all one that leaves
 //!    them within reach ([`super::euler_ranges`]).
+//! 3. The corners of a breach of a wall ([`super::image_contacts`]) count as pinched; the label of its group is the one that the
+//!    image keeps apart from the fewest of the elements around, which is the wall's.
 //!
 //! ```text
 //!        a                      a
@@ -39,6 +42,7 @@ use glam::IVec3;
 
 use crate::index::Label;
 use crate::lattice::euler_ranges::EulerRanges;
+use crate::lattice::image_contacts::ImageContacts;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::red_green::{CHANGED, Elements, RedGreenLattice};
 
@@ -67,13 +71,31 @@ pub struct Carved {
     pub numbers: Vec<u32>,
 }
 
+/// Vertices whose neighbourhood gets one label.
+pub struct Pinches {
+    /// All of them, in order.
+    pub vertices: Vec<u32>,
+    /// Those of breaches, in order.
+    pub breached: Vec<u32>,
+}
+
+impl Pinches {
+    /// Where surfaces are pinched, and the corners of breaches.
+    pub fn new(mut vertices: Vec<u32>, breached: Vec<u32>) -> Self {
+        vertices.extend(&breached);
+        vertices.sort_unstable();
+        vertices.dedup();
+        Self { vertices, breached }
+    }
+}
+
 /// Cuts the elements around the pinched vertices and labels the inner parts. `euler` are the Euler numbers that labels are to
 /// have, or none.
 pub fn carve(
     lattice: &mut RedGreenLattice,
     elements: &mut Elements,
     neighbors: &[[u32; 4]],
-    pinched: &[u32],
+    pinches: &Pinches,
     regions: &Regions,
     euler: &[i64],
     extent: Extent,
@@ -84,13 +106,20 @@ pub fn carve(
     let mut group_of = vec![u32::MAX; vertices];
     let mut labels = Vec::new();
     let has = |v: u32, label: Label| topology.has_label(v, label, &elements.labels);
-    for mut group in groups_of(&topology, pinched, &elements.tets) {
+    let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
+    for mut group in groups_of(&topology, &pinches.vertices, &elements.tets) {
         let around = topology.elements_around(&group);
         let can_halve = |times: u32| around.iter().all(|e| has_middles(lattice, &elements.tets[*e as usize], times));
         if !can_halve(1) {
             continue;
         }
-        let Some(label) = label_for(&topology, &group, &elements.labels, regions, euler.as_ref()) else { continue };
+        let is_breached = group.iter().any(|v| pinches.breached.binary_search(v).is_ok());
+        let opened = |label: Label| {
+            let count = || around.iter().filter(|e| contacts.keeps_apart(**e, &elements.labels, label)).count();
+            if is_breached { count() } else { 0 }
+        };
+        let label = label_for(&topology, &group, &elements.labels, regions, euler.as_ref(), opened);
+        let Some(label) = label else { continue };
         if extent == Extent::NearLabel && can_halve(2) && group.iter().any(|v| has(*v, label)) {
             group.retain(|v| has(*v, label));
         }
@@ -144,13 +173,15 @@ fn has_middles(lattice: &RedGreenLattice, tet: &[u32; 4], times: u32) -> bool {
 
 /// The label that fills a group; `None` where each would join components of the image.
 ///
-/// Where the lattice itself does not end in a disc around a vertex, only the background is manifold as a filling.
+/// Where the lattice itself does not end in a disc around a vertex, only the background is manifold as a filling. `opened` is how
+/// far a label would open a wall.
 fn label_for(
     topology: &InterfaceTopology,
     group: &[u32],
     labels: &[Label],
     regions: &Regions,
     euler: Option<&EulerRanges>,
+    opened: impl Fn(Label) -> usize,
 ) -> Option<Label> {
     let around = topology.elements_around(group);
     let mut candidates: Vec<Label> = around.iter().map(|e| labels[*e as usize]).collect();
@@ -178,7 +209,7 @@ fn label_for(
     let off = |label: Label| euler.map_or(0, |e| e.distance_after(&changes(label)));
     allowed.max_by_key(|l| {
         let is_tissue = !l.is_background();
-        (Reverse(off(*l)), Reverse(strangers(*l)), is_tissue, score(*l), Reverse(*l))
+        (Reverse(off(*l)), Reverse(opened(*l)), Reverse(strangers(*l)), is_tissue, score(*l), Reverse(*l))
     })
 }
 
@@ -284,7 +315,7 @@ mod tests {
         let neighbors = neighbors_of(&tets, 63).unwrap();
         let topology = InterfaceTopology::new(&tets, &neighbors, 63);
         let regions = Regions { of_element: labels.iter().map(|l| u32::from(l.0)).collect(), surplus: vec![0; 4] };
-        let chosen = |group: &[u32]| label_for(&topology, group, &labels, &regions, None);
+        let chosen = |group: &[u32]| label_for(&topology, group, &labels, &regions, None, |_| 0);
         let chain: Vec<u32> = (1..6).map(|i| number(i, 1, 1)).collect();
         assert_eq!(chosen(&chain), Some(Label(2)));
         assert_eq!(chosen(&chain[..1]), Some(Label(1)), "where all labels are near, the first");
@@ -319,7 +350,8 @@ mod tests {
                     line.iter().filter(|v| topology.has_label(**v, Label(label), &elements.labels)).count()
                 };
                 let near = has(1).max(has(2));
-                let carved = carve(&mut lattice, &mut elements, &neighbors, &line, &regions, &[], extent);
+                let pinches = Pinches::new(line.clone(), Vec::new());
+                let carved = carve(&mut lattice, &mut elements, &neighbors, &pinches, &regions, &[], extent);
                 let after = neighbors_after(&neighbors, &carved.numbers, &elements.tets).unwrap();
                 assert_eq!(after, neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap());
                 let kept = carved.numbers.iter().filter(|n| **n != CHANGED).count();
