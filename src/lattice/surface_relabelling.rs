@@ -200,13 +200,13 @@ mod tests {
 
     #[test]
     fn a_thin_vessel_that_forks_is_open_and_its_wall_has_no_tets_within() {
-        // Two arms of 1.4 voxels radius that leave a trunk, in a wall of 1.4 voxels.
-        let fork = DVec3::new(17.3, 17.8, 16.6);
-        let ends = [[17.3, 17.8, 5.0], [8.1, 13.2, 28.3], [25.4, 21.1, 29.2]].map(DVec3::from);
+        // A trunk and two arms of 1.3 voxels radius, in a wall of 1.4 voxels.
+        let fork = DVec3::new(18.9, 17.4, 18.7);
+        let ends = [[19.0, 15.9, 7.5], [26.8, 16.7, 30.7], [10.2, 20.7, 30.7]].map(DVec3::from);
         let distance = |p: DVec3| {
             let along = |end: &DVec3| {
                 let (way, q) = (*end - fork, p - fork);
-                (q - way * (q.dot(way) / way.length_squared()).clamp(0.0, 1.0)).length() - 1.4
+                (q - way * (q.dot(way) / way.length_squared()).clamp(0.0, 1.0)).length() - 1.3
             };
             ends.iter().map(along).fold(f64::INFINITY, f64::min)
         };
@@ -218,6 +218,7 @@ mod tests {
         let tets = output.mesh.connectivity.chunks_exact(4).zip(&output.mesh.labels);
         let middle = |tet: &[VertexId]| tet.iter().map(|v| output.mesh.points[v.index()]).sum::<DVec3>() / 4.0;
         let deepest = tets.filter(|(_, label)| **label == 2).map(|(tet, _)| -distance(middle(tet))).fold(0.0, f64::max);
-        assert!(deepest < 0.4, "{deepest}");
+        // Measured 0.25; 0.69 where tets keep the labels that the lattice gave them.
+        assert!(deepest < 0.45, "{deepest}");
     }
 }
