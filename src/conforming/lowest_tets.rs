@@ -5,15 +5,17 @@
 //! end the few lowest tets with at most one face on the boundary, which seldom forces them, get all operations, however little
 //! these help, with points in all polyhedra there are: round after round, as long as the lowest of all rises.
 //! 1. First with edges as long as the sizes ask for.
-//! 2. Then with edges of any length, as long as few are out of range: a round that leaves more is taken back, and half as many
-//!    tets are tried.
+//! 2. Then with edges of any length.
+//!
+//! A round that pays with too many edges out of range, or with low tets off the boundary, is taken back ([`Price`]), and half as
+//! many tets are tried.
 //!
 //! # Source
 //! [KlingnerShewchuk2007] section 3: the worst tets first, all operations, however small the gain.
 //!
 //! # Invariants
 //! No operation lowers the worst tet of what it touches. No sliver comes for a point. In all but large meshes the share of
-//! edges out of range does not grow beyond [`TOLERATED`].
+//! edges out of range does not grow beyond [`TOLERATED`], and no tet off the boundary falls below [`KEPT_OFF_BOUNDARY`].
 //!
 //! # Cost
 //! Scans that skip what is known to be good, and some [`MOST`] tets a round, a millisecond or less each: a hundredth of the time
@@ -21,7 +23,7 @@
 
 use super::bad_tets::{Known, Scope};
 use super::edge_lengths::share_out_of_range;
-use super::flip_criteria::{BiasedSine, STRICT_ANGLE, TetMeasure};
+use super::flip_criteria::{BiasedSine, Relief, STRICT_ANGLE, StrictInside, TetMeasure};
 use super::forced_slivers::sliver_cosine;
 use super::parallel_reconnection::{Driver, LONGEST, Lengths, SPACING, Treatment};
 use super::spacing::Spacing;
@@ -43,7 +45,10 @@ const PATIENCE: usize = 1;
 /// The share of edges out of range of the sizes up to which lengths are given up for angles: less than the tenth that meshes are
 /// judged by.
 const TOLERATED: f64 = 0.08;
-/// Most tets of a mesh whose edges are watched: in larger ones so few operations do not change the share.
+/// The angles down to which tets off the boundary pay for the lowest ones, degrees: what improvement gives nearly all of them.
+const KEPT_OFF_BOUNDARY: (f64, f64) = (18.0, 150.0);
+/// Most tets of a mesh whose [`Price`] is watched: in larger ones so few operations do not change the share, and a copy for each
+/// round would cost more than they do.
 const MOST_WATCHED: usize = 1 << 15;
 
 /// The tets with at most one face on the boundary below the angle aimed at, the lowest first.
@@ -88,10 +93,10 @@ pub fn lift_lowest(
                 break;
             }
             let watched = (complex.live_count() <= MOST_WATCHED)
-                .then(|| (complex.clone(), sizes.clone(), share_out(complex, sizes)));
+                .then(|| (complex.clone(), sizes.clone(), Price::of(complex, sizes, on_boundary)));
             let count = driver.treat(complex, sizes, on_boundary, bad, &treatment)?;
-            if let Some((before, sizes_before, share)) = watched
-                && share_out(complex, sizes) > share.max(TOLERATED)
+            if let Some((before, sizes_before, price)) = watched
+                && Price::of(complex, sizes, on_boundary).is_too_high_after(price)
             {
                 (*complex, *sizes) = (before, sizes_before);
                 driver.turn_to_another_mesh();
@@ -107,8 +112,29 @@ pub fn lift_lowest(
     Ok(done)
 }
 
-fn share_out(complex: &TetComplex, sizes: &[f64]) -> f64 {
-    share_out_of_range(complex, Spacing { sizes, factor: SPACING, longest: LONGEST })
+/// What else is good about a mesh, for which lower tets have to do.
+#[derive(Debug, Clone, Copy)]
+struct Price {
+    /// The share of edges out of range.
+    out_of_range: f64,
+    /// The lowest grade of the tets off the boundary.
+    lowest_off: f64,
+}
+
+impl Price {
+    fn of(complex: &TetComplex, sizes: &[f64], on_boundary: &[bool]) -> Self {
+        let measure = StrictInside { angles: BiasedSine, on_boundary, relief: Relief::Nothing };
+        let off = complex.finite_tets().filter(|&tet| measure.is_strict(&complex.vertices(tet)));
+        Self {
+            out_of_range: share_out_of_range(complex, Spacing { sizes, factor: SPACING, longest: LONGEST }),
+            lowest_off: off.map(|tet| BiasedSine.grade(complex.points_of(tet))).fold(f64::INFINITY, f64::min),
+        }
+    }
+
+    fn is_too_high_after(self, before: Self) -> bool {
+        let kept = BiasedSine::grade_of_angles(KEPT_OFF_BOUNDARY.0, KEPT_OFF_BOUNDARY.1);
+        self.out_of_range > before.out_of_range.max(TOLERATED) || self.lowest_off < before.lowest_off.min(kept)
+    }
 }
 
 #[cfg(test)]
@@ -159,11 +185,11 @@ mod tests {
             let grade = |mesh: &mut TetComplex| {
                 lowest(mesh, &known, 1, &context).first().map_or(0.3, |&tet| BiasedSine.grade(mesh.points_of(tet)))
             };
-            let (low, share) = (grade(&mut mesh), share_out(&mesh, &sizes));
+            let (low, before) = (grade(&mut mesh), Price::of(&mesh, &sizes, &on_boundary));
             lift_lowest((&mut mesh, &mut sizes), &on_boundary, (&mut driver, &known), &context).unwrap();
             assert!(grade(&mut mesh) >= least_gain * low, "{size}: {low} {}", grade(&mut mesh));
-            let after = share_out(&mesh, &sizes);
-            assert!(after <= share.max(TOLERATED), "{size}: {share} {after}");
+            let after = Price::of(&mesh, &sizes, &on_boundary);
+            assert!(!after.is_too_high_after(before), "{size}: {before:?} {after:?}");
             let is_wall = |side: &TetFace| mesh.is_face_constrained(*side);
             let sides = mesh.finite_tets().flat_map(|tet| (0..4).map(move |face| TetFace::new(tet, face)));
             assert_eq!(sides.filter(is_wall).count(), 12);
