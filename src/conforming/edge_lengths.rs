@@ -20,6 +20,7 @@ use super::flips::Plan;
 use super::spacing::Spacing;
 use crate::index::VertexId;
 use crate::mesh::numbering::TET_EDGES;
+use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
 
 /// The share of new edges that may be out of range: that of the whole mesh where sizes are kept.
@@ -64,6 +65,24 @@ pub fn betters_lengths<S: TetStore + ?Sized>(
 ) -> bool {
     let ([gone, made], [bad_gone, bad_made]) = count_edges(store, spacing, fresh, plan, scratch);
     made > gone && bad_made <= bad_gone
+}
+
+/// The share of the edges of a mesh that are out of range, each counted with every tet around it; edges of the boundary and
+/// those without sizes are left out.
+pub fn share_out_of_range(complex: &TetComplex, spacing: Spacing<'_>) -> f64 {
+    let mut counts = [0usize; 2];
+    for tet in complex.finite_tets() {
+        let row = complex.vertices(tet);
+        for [i, j] in TET_EDGES {
+            let size = 0.5 * (spacing.size_of(row[i]) + spacing.size_of(row[j]));
+            if size > 0.0 && !complex.is_edge_constrained(tet, i, j) {
+                let length = complex.point(row[i]).distance(complex.point(row[j]));
+                let is_in_range = (spacing.factor * size..=spacing.longest * size).contains(&length);
+                counts[usize::from(is_in_range)] += 1;
+            }
+        }
+    }
+    counts[0] as f64 / (counts[0] + counts[1]).max(1) as f64
 }
 
 /// How many edges a plan takes away and makes, and how many of these are out of range.

@@ -39,6 +39,7 @@ mod front_clearance;
 pub mod input_check;
 mod kernel_mesh;
 pub mod local_reconnection;
+mod lowest_tets;
 pub mod needle_faces;
 pub mod options;
 pub mod parallel_reconnection;

@@ -26,9 +26,8 @@ mod tet_treatment;
 
 use edge_splitting::SplitJob;
 pub use edge_splitting::longest_excess;
-use tet_treatment::SPACING;
 use tet_treatment::TreatJob;
-pub use tet_treatment::{Crowding, FLAT_BELOW, Treatment, count_of_bad};
+pub use tet_treatment::{Crowding, FLAT_BELOW, LONGEST, Lengths, SPACING, Treatment, count_of_bad};
 
 use rayon::prelude::*;
 

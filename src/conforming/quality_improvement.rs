@@ -21,7 +21,7 @@
 //! iterated local search goes on (`region_search`); then, for tets off the boundary that are still bad, whatever becomes
 //! of those at it, and where it finds nothing, annealing (`region_annealing`); at last annealing around the slivers that the
 //! boundary does not force. Where that leaves more slivers than there were before, the mesh with the fewest is put back
-//! ([`FewestSlivers`]).
+//! ([`FewestSlivers`]), and the lowest tets that at most one face of the boundary holds are lifted (`lowest_tets`).
 //!
 //! # Source
 //! [Drakopoulos2017] 4.9; B.3 `nqual`, `nqualf`, `angqual`, `angqmsk`, `angqmax`, `mrecqm`, `mrecqmf`, `ordtq`, `mdfs`, `ndfs`,
@@ -47,6 +47,7 @@ use super::fewest_slivers::{FewestSlivers, State};
 use super::flip_criteria::{BiasedSine, Relief, STRICT_ANGLE, StrictInside, TetMeasure};
 use super::forced_slivers::{crowded_slivers, is_forced_sliver, sliver_cosine};
 use super::local_reconnection::{FourFour, Objective};
+use super::lowest_tets::lift_lowest;
 use super::needle_faces::NeedleFaces;
 use super::options::Options;
 use super::parallel_reconnection::{Crowding, Driver, FLAT_BELOW, Touched, Treatment, count_of_bad, longest_excess};
@@ -189,6 +190,7 @@ pub fn improve(
     figures.set("quality.regions_replaced", replaced as f64);
     let state = improver.state(complex);
     figures.set("quality.restored", f64::from(u8::from(fewest.restore(complex, sizes, state))));
+    figures.set("quality.lifts", improver.lift_lowest(complex, sizes)? as f64);
     let skew_tets = tets_with_skew_faces(complex, context, &Scope::default()).len();
     figures.set("quality.skew_tets", skew_tets as f64);
     Known::forget(complex);
@@ -528,6 +530,15 @@ impl Improver<'_> {
             skew = tets_with_skew_faces(complex, self.context, &scope);
         }
         Ok(())
+    }
+
+    /// All operations, however little they help, at the few lowest tets; returns how many were carried out.
+    fn lift_lowest(&mut self, complex: &mut TetComplex, sizes: &mut Vec<f64>) -> Result<usize> {
+        if !self.options.delete_field_slivers {
+            return Ok(0);
+        }
+        let Self { driver, known, on_boundary, context, .. } = self;
+        lift_lowest((complex, sizes), on_boundary, (driver, known), context)
     }
 
     /// All operations at bad tets, worst first; returns how many were carried out. Points crowd around the first ones

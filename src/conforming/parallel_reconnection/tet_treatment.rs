@@ -31,6 +31,7 @@ use super::{Job, Kit};
 use crate::error::Result;
 use crate::index::{TetFace, TetId, VertexId};
 use crate::mesh::numbering::TET_EDGES;
+use crate::mesh::quality::SLIVER_DEGREES;
 use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
 use crate::mesh::topology::ShellTet;
@@ -47,15 +48,17 @@ const BAD_BELOW: f64 = 10.0;
 /// Factor by which a point must better the worst tet that goes where it need not reach an angle: a tet of 4 degrees is at
 /// 10 after at most four of them, so that thin places do not fill with points for the sake of little.
 const GAIN: f64 = 1.3;
+/// The same for the few lowest tets of a mesh, which get step after step.
+const SMALL_GAIN: f64 = 1.05;
 /// Share of its longest edge below which an edge of a bad tet is short: opposite to it angles are small.
 const SHORT_EDGE: f64 = 0.25;
 /// The angle that every new tet of all other insertions reaches, degrees.
 pub(super) const FLOOR: f64 = 18.0;
 /// Distance that vertices keep from their neighbours where they may not crowd, in shares of their average size: with edges
 /// below half the size of the boundary the mesh would no longer follow the size field.
-pub(super) const SPACING: f64 = 0.5;
+pub const SPACING: f64 = 0.5;
 /// The same for the longest: with the default factor of the sizes (`cdf`, 1.2) twice the length of the boundary's edges.
-pub(super) const LONGEST: f64 = 2.0 / 1.2;
+pub const LONGEST: f64 = 2.0 / 1.2;
 
 /// Whether edges may become shorter or longer than the sizes want, for the sake of bad tets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -98,6 +101,8 @@ pub struct Treatment<'a> {
     pub shuns_skew_faces: bool,
     /// Tets at the boundary that count as better than they are.
     pub relief: Relief<'a>,
+    /// Whether a point is worth it however little it helps, and the lengths that operations keep then.
+    pub small_steps: Option<Lengths>,
 }
 
 impl<'a> Treatment<'a> {
@@ -112,6 +117,7 @@ impl<'a> Treatment<'a> {
             goal,
             shuns_skew_faces: false,
             relief: Relief::Nothing,
+            small_steps: None,
         }
     }
 
@@ -132,6 +138,11 @@ impl<'a> Treatment<'a> {
     /// All operations, for the sake of tets off the boundary whatever becomes of those at it.
     pub fn off_boundary(goal: f64) -> Self {
         Self { reconnects_polyhedra: true, relief: Relief::Boundary, ..Self::everything(goal, Crowding::Allowed) }
+    }
+
+    /// All operations with lengths as given, step by step: for the few lowest tets of a mesh.
+    pub fn of_lowest(goal: f64, lengths: Lengths) -> Self {
+        Self { small_steps: Some(lengths), ..Self::everything(goal, Crowding::Allowed) }
     }
 
     /// All operations, for the sake of skew faces.
@@ -213,7 +224,8 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         let is_flat = grade < FLAT_BELOW.to_radians().sin();
         let is_bad = grade < bad_grade(self.measure.is_strict(row));
         let is_unbearable = is_flat || is_bad && self.treatment.crowding == Crowding::Allowed;
-        if is_unbearable || self.treatment.shuns_skew_faces { Lengths::Free } else { Lengths::Kept }
+        let asked = if self.treatment.shuns_skew_faces { Some(Lengths::Free) } else { self.treatment.small_steps };
+        asked.unwrap_or(if is_unbearable { Lengths::Free } else { Lengths::Kept })
     }
 
     fn spacing(&self, lengths: Lengths) -> Spacing<'_> {
@@ -225,14 +237,14 @@ impl<G: TetMeasure> TreatJob<'_, G> {
 
     /// Tells attempts apart: all of the treatment that what is tried after the moves depends on.
     fn salt(&self, lengths: Lengths) -> u64 {
-        let Treatment { edge_limit: _, changes_vertices: _, reconnects_polyhedra, crowding, goal, .. } =
-            *self.treatment;
+        let Treatment { reconnects_polyhedra, small_steps, crowding, goal, .. } = *self.treatment;
         let relief = match self.treatment.relief {
             Relief::Nothing => 0,
             Relief::Needles(_) => 1,
             Relief::Boundary => 2,
         };
-        let flags = [reconnects_polyhedra, crowding == Crowding::Allowed, lengths == Lengths::Free];
+        let is_free = lengths == Lengths::Free;
+        let flags = [small_steps.is_some(), reconnects_polyhedra, crowding == Crowding::Allowed, is_free];
         salt_of(&[G::KIND, goal.to_bits(), relief, flags.into_iter().fold(0, |word, flag| 2 * word + u64::from(flag))])
     }
 
@@ -355,6 +367,22 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         Ok(if lost { Outcome::ClaimLost } else { Outcome::WorsensQuality })
     }
 
+    /// What a point of a size, inserted for a tet of `grade`, must keep to.
+    fn limits_at(&self, grade: f64, is_off: bool, (size, lengths): (f64, Lengths)) -> InsertionLimits<'_> {
+        let usual = insertion_limits(grade, is_off, (size, self.spacing(lengths)), self.treatment.crowding);
+        if self.treatment.small_steps.is_some() {
+            // Better tets, but no slivers in the place of one.
+            let floor = (SMALL_GAIN * grade).max(SLIVER_DEGREES.to_radians().sin());
+            return InsertionLimits { floor, polyhedra: Polyhedra::OfEverySet, ..usual };
+        }
+        if is_off && grade < bad_grade(true) && matches!(self.treatment.relief, Relief::Boundary) {
+            // Step by step, as tets off the boundary count: what is better than the worst tet is taken, however little.
+            let floor = strict((GAIN * grade).min(bad_grade(true)));
+            return InsertionLimits { floor, polyhedra: Polyhedra::OfEverySet, ..usual };
+        }
+        usual
+    }
+
     /// Inserts a point into a polyhedron around the tet.
     fn insert_point<S: TetStore>(
         &self,
@@ -368,20 +396,17 @@ impl<G: TetMeasure> TreatJob<'_, G> {
         let size = self.size_at(row);
         let grade = self.measure.grade(store.corners(row));
         let is_off = self.measure.is_strict(&row);
-        let mut limits = insertion_limits(grade, is_off, (size, self.spacing(lengths)), self.treatment.crowding);
-        if is_off && grade < bad_grade(true) && matches!(self.treatment.relief, Relief::Boundary) {
-            // Step by step, as tets off the boundary count: what is better than the worst tet is taken, however little.
-            limits.floor = strict((GAIN * grade).min(bad_grade(true)));
-            limits.polyhedra = Polyhedra::OfEverySet;
-        }
+        let limits = self.limits_at(grade, is_off, (size, lengths));
         let Kit { slivers, reconnector, .. } = kit;
         let scratch = &mut reconnector.scratch;
         let (mut outcome, mut place) =
             plan_sliver_insertion(store, tet, vertex, limits, &self.measure, slivers, scratch);
-        let grows = grade < bad_grade(is_off) && limits.spacing.is_free();
+        let small_steps = self.treatment.small_steps.is_some();
+        let grows = (grade < bad_grade(is_off) || small_steps) && limits.spacing.is_free();
         if grows && !matches!(outcome, Outcome::Accepted | Outcome::ClaimLost) {
             store.release_claims();
-            let limits = InsertionLimits { floor: limits.floor.min(GAIN * grade), ..limits };
+            let floor = if small_steps { limits.floor } else { limits.floor.min(GAIN * grade) };
+            let limits = InsertionLimits { floor, ..limits };
             let asked = (limits, if limits.polyhedra == Polyhedra::OfEverySet { 1.0 + 1e-6 } else { GAIN });
             (outcome, place) = plan_grown_insertion(store, (tet, vertex), None, asked, &self.measure, slivers, scratch);
             let edge = shortest_edge(row.map(|v| store.point(v)));
