@@ -24,12 +24,12 @@
 use super::bad_tets::{Known, Scope};
 use super::edge_lengths::share_out_of_range;
 use super::flip_criteria::{BiasedSine, Relief, STRICT_ANGLE, StrictInside, TetMeasure};
-use super::forced_slivers::sliver_cosine;
 use super::parallel_reconnection::{Driver, LONGEST, Lengths, SPACING, Treatment};
 use super::spacing::Spacing;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::TetId;
+use crate::mesh::quality::SLIVER_DEGREES;
 use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
 
@@ -83,10 +83,12 @@ pub fn lift_lowest(
         for _ in 0..ROUNDS {
             context.check()?;
             let bad = lowest(complex, known, most, context);
-            // A sliver at the lowest has had all there is, and what betters it may leave two.
-            let is_sliver = |tet: &TetId| sliver_cosine(complex.points_of(*tet)).is_some();
-            let Some(&first) = bad.first().filter(|tet| !is_sliver(tet)) else { break };
+            let Some(&first) = bad.first() else { break };
             let grade = BiasedSine.grade(complex.points_of(first));
+            // What is as bad as a sliver has had all there is, and what betters it may be slivers: large angles count less.
+            if grade < SLIVER_DEGREES.to_radians().sin() {
+                break;
+            }
             waited = if grade > reached || most < MOST { 0 } else { waited + 1 };
             reached = grade;
             if waited > PATIENCE {
