@@ -141,6 +141,14 @@ fn marks_many(marked: &[bool]) -> bool {
     marked.iter().filter(|m| **m).count() as f64 >= (FEW_LEAVES * marked.len() as f64).max(1.0)
 }
 
+/// What is to be carved.
+fn pinches_of(lattice: &RedGreenLattice, elements: &Elements, neighbors: &[[u32; 4]]) -> Pinches {
+    let topology = InterfaceTopology::new(&elements.tets, neighbors, lattice.vertices.positions.len());
+    let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
+    let breached = contacts.breached(&elements.labels, &topology);
+    Pinches::new(topology.pinched(&elements.labels), breached)
+}
+
 /// Marks the leaves of `more` too.
 fn join(marked: &mut [bool], more: &[bool]) {
     marked.iter_mut().zip(more).for_each(|(marked, more)| *marked |= more);
@@ -493,20 +501,20 @@ impl Rounds<'_> {
     ) -> Result<(Vec<[u32; 4]>, Vec<Mismatch>)> {
         let mut is_carved = false;
         for round in 1..=CARVING_ROUNDS {
-            let vertices = lattice.vertices.positions.len();
-            let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
-            let contacts = ImageContacts::new(lattice, &elements.tets, &neighbors);
-            let breached = contacts.breached(&elements.labels, &topology);
-            let pinches = Pinches::new(topology.pinched(&elements.labels), breached);
+            let pinches = pinches_of(lattice, elements, &neighbors);
             if pinches.vertices.is_empty() {
                 break;
             }
-            let regions = regions_of(&elements.labels, &neighbors);
-            let surplus = self.surplus(&regions);
-            let mut joinable = joinable_regions(elements, &regions, surplus);
-            number_by_image(&mut joinable, &regions, lattice, elements, &self.components);
+            let joinable = {
+                let regions = regions_of(&elements.labels, &neighbors);
+                let surplus = self.surplus(&regions);
+                let mut joinable = joinable_regions(elements, &regions, surplus);
+                number_by_image(&mut joinable, &regions, lattice, elements, &self.components);
+                joinable
+            };
             let extent = if round < CARVING_ROUNDS { Extent::NearLabel } else { Extent::Whole };
             let carved = carve(lattice, elements, &neighbors, &pinches, &joinable, &self.euler, extent);
+            drop((pinches, joinable));
             self.report.add("topology.carved_vertices", carved.vertices as f64);
             if carved.vertices == 0 {
                 break;

@@ -40,6 +40,8 @@ use std::cmp::Reverse;
 
 use glam::IVec3;
 
+use rayon::prelude::*;
+
 use crate::index::Label;
 use crate::lattice::euler_ranges::EulerRanges;
 use crate::lattice::image_contacts::ImageContacts;
@@ -100,6 +102,22 @@ pub fn carve(
     euler: &[i64],
     extent: Extent,
 ) -> Carved {
+    let (group_of, labels) = fillings(lattice, elements, neighbors, pinches, regions, euler, extent);
+    let treated = group_of.iter().filter(|g| **g != u32::MAX).count();
+    let numbers = if treated > 0 { cut(lattice, elements, &group_of, &labels) } else { Vec::new() };
+    Carved { vertices: treated, numbers }
+}
+
+/// The group of each vertex, or `u32::MAX`, and the label that fills each group.
+fn fillings(
+    lattice: &RedGreenLattice,
+    elements: &Elements,
+    neighbors: &[[u32; 4]],
+    pinches: &Pinches,
+    regions: &Regions,
+    euler: &[i64],
+    extent: Extent,
+) -> (Vec<u32>, Vec<Label>) {
     let vertices = lattice.vertices.positions.len();
     let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices);
     let mut euler = (!euler.is_empty()).then(|| topology.euler_ranges(&elements.labels, euler));
@@ -129,9 +147,7 @@ pub fn carve(
         group.iter().for_each(|v| group_of[*v as usize] = labels.len() as u32);
         labels.push(label);
     }
-    let treated = group_of.iter().filter(|g| **g != u32::MAX).count();
-    let numbers = if treated > 0 { cut(lattice, elements, &group_of, &labels) } else { Vec::new() };
-    Carved { vertices: treated, numbers }
+    (group_of, labels)
 }
 
 /// Pinched vertices connected through edges.
@@ -216,7 +232,17 @@ fn label_for(
 /// Cuts every element with vertices in groups; the number before of each element, or [`CHANGED`].
 fn cut(lattice: &mut RedGreenLattice, elements: &mut Elements, group_of: &[u32], labels: &[Label]) -> Vec<u32> {
     let old = std::mem::take(elements);
-    let mut numbers = Vec::with_capacity(old.tets.len());
+    // What a tet with one, two, three of its vertices in a group becomes.
+    let pieces = |tet: &[u32; 4]| match tet.iter().filter(|v| group_of[**v as usize] != u32::MAX).count() {
+        1 | 3 => 4,
+        2 => 6,
+        _ => 1,
+    };
+    let count = old.tets.par_iter().with_min_len(4096).map(pieces).sum();
+    let mut numbers = Vec::with_capacity(count);
+    elements.tets.reserve_exact(count);
+    elements.labels.reserve_exact(count);
+    elements.leaves.reserve_exact(count);
     for (number, ((tet, own), leaf)) in (0u32..).zip(old.tets.iter().zip(&old.labels).zip(&old.leaves)) {
         numbers.resize(elements.tets.len(), CHANGED);
         let group = tet.iter().map(|v| group_of[*v as usize]).find(|g| *g != u32::MAX);
