@@ -35,7 +35,7 @@ use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
 use crate::lattice::euler_ranges::EulerRanges;
 use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
 use crate::lattice::image_contacts::ImageContacts;
-use crate::lattice::interface_carving::{Extent, Pinches, carve};
+use crate::lattice::interface_carving::{Carved, Extent, Pinches, carve};
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::mesh_regions::{
     component_counts, fill_unseen_regions, joinable_regions, number_by_image, regions_of, relabel_loose_regions,
@@ -139,14 +139,6 @@ pub fn refine(
 /// Whether so many leaves are marked that the whole lattice is still being refined.
 fn marks_many(marked: &[bool]) -> bool {
     marked.iter().filter(|m| **m).count() as f64 >= (FEW_LEAVES * marked.len() as f64).max(1.0)
-}
-
-/// What is to be carved.
-fn pinches_of(lattice: &RedGreenLattice, elements: &Elements, neighbors: &[[u32; 4]]) -> Pinches {
-    let topology = InterfaceTopology::new(&elements.tets, neighbors, lattice.vertices.positions.len());
-    let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
-    let breached = contacts.breached(&elements.labels, &topology);
-    Pinches::new(topology.pinched(&elements.labels), breached)
 }
 
 /// Marks the leaves of `more` too.
@@ -293,15 +285,24 @@ impl Rounds<'_> {
         let (elements, numbers) =
             self.report.timed("elements", || lattice.elements_after(&before.elements, context))?;
         drop(before.elements);
-        let components = &self.components;
-        let found = self
-            .report
-            .timed("fidelity", || mismatches_after(&before.found, &numbers, lattice, &elements, components, context))?;
+        let found = self.count_after(&before.found, &numbers, lattice, &elements)?;
         Ok((elements, found, Some(Known { numbers, neighbors: before.neighbors })))
     }
 
     fn count(&mut self, lattice: &RedGreenLattice, elements: &Elements) -> Result<Vec<Mismatch>> {
         self.report.timed("fidelity", || mismatches(lattice, elements, &self.components, self.context))
+    }
+
+    /// The mismatches, from those `found` before: `numbers` has for each element its number then, or [`CHANGED`].
+    fn count_after(
+        &mut self,
+        found: &[Mismatch],
+        numbers: &[u32],
+        lattice: &RedGreenLattice,
+        elements: &Elements,
+    ) -> Result<Vec<Mismatch>> {
+        let (components, context) = (&self.components, self.context);
+        self.report.timed("fidelity", || mismatches_after(found, numbers, lattice, elements, components, context))
     }
 
     /// The mismatches after labels have changed from `before`, when there were those `found`.
@@ -497,11 +498,13 @@ impl Rounds<'_> {
         lattice: &mut RedGreenLattice,
         elements: &mut Elements,
         mut neighbors: Vec<[u32; 4]>,
-        found: Vec<Mismatch>,
+        mut found: Vec<Mismatch>,
     ) -> Result<(Vec<[u32; 4]>, Vec<Mismatch>)> {
-        let mut is_carved = false;
+        // In the first round all vertices.
+        let mut to_see: Option<Vec<bool>> = None;
         for round in 1..=CARVING_ROUNDS {
-            let pinches = pinches_of(lattice, elements, &neighbors);
+            let is_candidate = |v: u32| to_see.as_ref().is_none_or(|to_see| to_see[v as usize]);
+            let pinches = Pinches::among(lattice, elements, &neighbors, is_candidate);
             if pinches.vertices.is_empty() {
                 break;
             }
@@ -513,17 +516,17 @@ impl Rounds<'_> {
                 joinable
             };
             let extent = if round < CARVING_ROUNDS { Extent::NearLabel } else { Extent::Whole };
-            let carved = carve(lattice, elements, &neighbors, &pinches, &joinable, &self.euler, extent);
-            drop((pinches, joinable));
-            self.report.add("topology.carved_vertices", carved.vertices as f64);
-            if carved.vertices == 0 {
+            let Carved { vertices, numbers } =
+                carve(lattice, elements, &neighbors, &pinches, &joinable, &self.euler, extent);
+            self.report.add("topology.carved_vertices", vertices as f64);
+            if vertices == 0 {
                 break;
             }
-            is_carved = true;
-            let known = Known { numbers: carved.numbers, neighbors };
-            neighbors = self.neighbors(lattice, elements, Some(known))?;
+            to_see = Some(pinches.to_see_after(lattice, elements, &numbers));
+            drop((pinches, joinable));
+            found = self.count_after(&found, &numbers, lattice, elements)?;
+            neighbors = self.neighbors(lattice, elements, Some(Known { numbers, neighbors }))?;
         }
-        let found = if is_carved { self.count(lattice, elements)? } else { found };
         Ok((neighbors, found))
     }
 

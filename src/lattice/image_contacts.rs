@@ -64,15 +64,21 @@ impl<'a> ImageContacts<'a> {
         })
     }
 
-    /// The vertices of breaches, each once, in order.
-    pub fn breached(&self, labels: &[Label], topology: &InterfaceTopology) -> Vec<u32> {
+    /// The vertices of the breaches at some vertices, each once, in order.
+    pub fn breached(
+        &self,
+        labels: &[Label],
+        topology: &InterfaceTopology,
+        is_candidate: impl Fn(u32) -> bool + Sync,
+    ) -> Vec<u32> {
         let sides = |e: u32, face: usize| {
             let near = self.neighbors[e as usize][face];
             (near != OUTSIDE).then(|| [labels[e as usize], labels[near as usize]])
         };
         let touch = |e: u32, face: usize, pair: [Label; 2]| touch_near(&self.lattice.field, self.center(e, face), pair);
         let is_apart = |e: u32, face: usize| sides(e, face).is_some_and(|s| s[0] < s[1] && !touch(e, face, s));
-        let elements = (0..self.tets.len() as u32).into_par_iter().with_min_len(CHUNK);
+        let is_near = |e: &u32| self.tets[*e as usize].iter().any(|v| is_candidate(*v));
+        let elements = (0..self.tets.len() as u32).into_par_iter().with_min_len(CHUNK).filter(is_near);
         let apart: Vec<(u32, usize)> =
             elements.flat_map_iter(|e| (0..4).filter(move |f| is_apart(e, *f)).map(move |f| (e, f))).collect();
         let mut vertices = Vec::new();
@@ -175,7 +181,7 @@ mod tests {
             let neighbors = neighbors_of(&elements.tets, vertices).unwrap();
             let contacts = ImageContacts::new(&lattice, &elements.tets, &neighbors);
             let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
-            assert!(contacts.breached(&elements.labels, &topology).is_empty());
+            assert!(contacts.breached(&elements.labels, &topology, |_| true).is_empty());
             // The elements of the wall on one side of a vertex of it go to label 3.
             let place = |v: u32| lattice.frame.local(lattice.vertices.positions[v as usize]);
             let off = |v: &u32| place(*v).distance(DVec3::new(4.0, 4.5, 4.5));
@@ -186,7 +192,7 @@ mod tests {
                     labels[e as usize] = Label(3);
                 }
             }
-            let breached = contacts.breached(&labels, &topology);
+            let breached = contacts.breached(&labels, &topology, |_| true);
             assert!(
                 !breached.is_empty() && breached.iter().all(|v| place(*v).distance(place(middle)) < 1.8),
                 "{breached:?}"

@@ -89,6 +89,28 @@ impl Pinches {
         vertices.dedup();
         Self { vertices, breached }
     }
+
+    /// Those among some vertices.
+    pub fn among(
+        lattice: &RedGreenLattice,
+        elements: &Elements,
+        neighbors: &[[u32; 4]],
+        is_candidate: impl Fn(u32) -> bool + Sync,
+    ) -> Self {
+        let topology = InterfaceTopology::new(&elements.tets, neighbors, lattice.vertices.positions.len());
+        let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
+        let breached = contacts.breached(&elements.labels, &topology, &is_candidate);
+        Self::new(topology.pinched_among(&elements.labels, &is_candidate), breached)
+    }
+
+    /// For each vertex whether it may have to be carved after a carving of these: what had to be before, and the vertices of the
+    /// elements that were made. `numbers` is what [`carve`] returned.
+    pub fn to_see_after(&self, lattice: &RedGreenLattice, elements: &Elements, numbers: &[u32]) -> Vec<bool> {
+        let mut is_seen = vec![false; lattice.vertices.positions.len()];
+        let made = elements.tets.iter().zip(numbers).filter(|(_, number)| **number == CHANGED);
+        made.flat_map(|(tet, _)| tet).chain(&self.vertices).for_each(|v| is_seen[*v as usize] = true);
+        is_seen
+    }
 }
 
 /// Cuts the elements around the pinched vertices and labels the inner parts. `euler` are the Euler numbers that labels are to

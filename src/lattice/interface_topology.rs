@@ -102,7 +102,13 @@ impl<'a> InterfaceTopology<'a> {
 
     /// Vertices whose surfaces pinch, increasing.
     pub fn pinched(&self, labels: &[Label]) -> Vec<u32> {
-        (0..self.vertex_count() as u32).into_par_iter().filter(|v| self.excess(*v, labels) > 0).collect()
+        self.pinched_among(labels, |_| true)
+    }
+
+    /// Those of some vertices whose surfaces pinch, increasing.
+    pub fn pinched_among(&self, labels: &[Label], is_candidate: impl Fn(u32) -> bool + Sync) -> Vec<u32> {
+        let vertices = (0..self.vertex_count() as u32).into_par_iter();
+        vertices.filter(|v| is_candidate(*v) && self.excess(*v, labels) > 0).collect()
     }
 
     /// The elements around the given vertices.
