@@ -342,6 +342,7 @@ fn oriented(lattice: &RedGreenLattice, tet: [u32; 4]) -> [u32; 4] {
 mod tests {
     use super::*;
     use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
+    use glam::DVec3;
 
     #[test]
     fn a_chain_gets_a_label_that_is_near_all_of_it() {
@@ -411,6 +412,35 @@ mod tests {
         assert!(near < all && near > 0, "{near} of {all}");
         assert_eq!(treated, near, "the label that is at more of the line fills what it is at");
         assert_eq!(carved(Extent::Whole).0, all);
+    }
+
+    #[test]
+    fn what_is_to_be_carved_next_is_where_carving_was() {
+        use crate::lattice::test_images::{voxel_image, with_lattice};
+        // Scattered voxels on one side, an oblique wall of one voxel on the other.
+        let noise = |p: DVec3| (p.x * 12.9898 + p.y * 78.233 + p.z * 37.719).sin() * 43758.5453;
+        let across = |p: DVec3| p.dot(DVec3::new(0.8, 0.0, 0.6)) - 12.0;
+        let wall = |p: DVec3| if across(p) < 0.0 { 1 } else { 2 * u16::from(across(p) < 1.0) };
+        let image = voxel_image(20, |p| if p.y < 10.0 { wall(p) } else { (3.0 * noise(p).rem_euclid(1.0)) as u16 });
+        with_lattice(&image, 2.0, |mut lattice, context| {
+            let mut elements = lattice.elements(context).unwrap();
+            // A hole in the wall.
+            let is_at_hole = |tet: &[u32; 4]| lattice.centroid(tet).distance(DVec3::new(8.6, 5.0, 10.5)) < 1.8;
+            let tets = elements.labels.iter_mut().zip(&elements.tets);
+            tets.filter(|(label, tet)| label.0 == 2 && is_at_hole(tet)).for_each(|(label, _)| *label = Label(1));
+            let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap();
+            let first = Pinches::among(&lattice, &elements, &neighbors, |_| true);
+            let counts = [first.breached.len(), first.vertices.len(), lattice.vertices.positions.len()];
+            assert!(counts[0] > 0 && counts[1] > counts[0] && counts[2] > counts[1], "{counts:?}");
+            let regions = Regions { of_element: vec![0; elements.tets.len()], surplus: vec![9; 3] };
+            let carved = carve(&mut lattice, &mut elements, &neighbors, &first, &regions, &[], Extent::NearLabel);
+            let to_see = first.to_see_after(&lattice, &elements, &carved.numbers);
+            let neighbors = neighbors_after(&neighbors, &carved.numbers, &elements.tets).unwrap();
+            let all = Pinches::among(&lattice, &elements, &neighbors, |_| true);
+            let near = Pinches::among(&lattice, &elements, &neighbors, |v| to_see[v as usize]);
+            assert!(carved.vertices > 0 && to_see.contains(&false) && !all.vertices.is_empty());
+            assert_eq!((near.vertices, near.breached), (all.vertices, all.breached));
+        });
     }
 
     #[test]
