@@ -24,7 +24,7 @@
 
 use crate::context::RunContext;
 use crate::error::{Error, Finding, FindingCode, Result, Severity};
-use crate::image::connected_components::{Components, Connectivity, Members};
+use crate::image::connected_components::{Component, Components, Connectivity, Members};
 use crate::image::distance_transform::distance_to_other_labels;
 use crate::image::euler_numbers::euler_numbers;
 use crate::image::label_image::LabelImage;
@@ -121,8 +121,10 @@ pub fn refine(
         None => Vec::new(),
     };
     let smooths = options.smoothing_iterations > 0;
-    let mut rounds = Rounds { input, components, totals, face_components: None, euler, smooths, report, context };
+    let lost = Vec::new();
+    let mut rounds = Rounds { input, components, totals, face_components: None, euler, smooths, lost, report, context };
     let elements = rounds.run(&mut lattice)?;
+    let lost = rounds.lost;
     report.set("lattice.level", f64::from(lattice.deepest_level()));
     report.set("lattice.spacing", input.spacing);
     let mut cubes = Vec::new();
@@ -130,7 +132,8 @@ pub fn refine(
         let surface = if options.mixed_elements { SurfaceCount::Counted } else { SurfaceCount::Skipped };
         cubes = report.timed("mixed_elements", || mixed_elements::find_cubes(&lattice, &elements, surface))?;
     }
-    let mesh = report.timed("compaction", || mixed_elements::compact(&lattice, &elements, &cubes, smooths));
+    let mut mesh = report.timed("compaction", || mixed_elements::compact(&lattice, &elements, &cubes, smooths));
+    mesh.lost = lost;
     // Giving memory back takes the system some time.
     rayon::join(|| drop(elements), || drop(lattice));
     Ok(mesh)
@@ -163,6 +166,8 @@ struct Rounds<'a> {
     euler: Vec<i64>,
     /// Whether surfaces are smoothed afterwards: then pinches are in the way.
     smooths: bool,
+    /// Components without an element at the end.
+    lost: Vec<Component>,
     report: &'a mut Report,
     context: &'a RunContext,
 }
@@ -568,7 +573,6 @@ impl Rounds<'_> {
         let report = &mut self.report;
         report.set("relabelling.changes", relabelled.changes as f64);
         report.set("relabelling.remaining", relabelled.remaining as f64);
-        let voxel = self.input.image.grid();
         for (label, count) in deficit.counts.iter().enumerate().skip(1) {
             let value = self.input.values[label];
             if count.image == 0 {
@@ -584,18 +588,6 @@ impl Rounds<'_> {
                 self.context.report(finding.with_ids(i64::from(value), -1));
             }
         }
-        for lost in &deficit.lost {
-            let component = self.components.components()[*lost as usize];
-            let value = self.input.values[component.label.index()];
-            let whole = deficit.counts[component.label.index()].image == component.voxels;
-            let code = if whole { FindingCode::LabelLost } else { FindingCode::ComponentLost };
-            let text = format!("a component of label {value} with {} voxels has no element", component.voxels);
-            let [i, j, k] = component.first.map(|v| v as f64);
-            self.context.report(
-                Finding::new(code, Severity::Warning, text)
-                    .with_ids(i64::from(value), component.voxels as i64)
-                    .at(voxel.index_to_world(glam::DVec3::new(i, j, k)).to_array()),
-            );
-        }
+        self.lost = deficit.lost.iter().map(|lost| self.components.components()[*lost as usize]).collect();
     }
 }

@@ -10,6 +10,7 @@
 
 use glam::DVec3;
 
+use crate::image::connected_components::Component;
 use crate::index::{Label, VertexId};
 use crate::lattice::scaffold::Scaffold;
 
@@ -37,6 +38,8 @@ pub struct CandidateMesh {
     pub fixed: Vec<VertexId>,
     /// Background elements around the mesh, for smoothing; empty before and after.
     pub scaffold: Scaffold,
+    /// Components of the image that have no element.
+    pub lost: Vec<Component>,
 }
 
 /// A lattice vertex whose 24 tets can become a hexahedron with pyramids.

@@ -5,7 +5,8 @@
 //! went to another label. For each such piece (elements of one label connected through faces, fewer than
 //! `SMALLEST_COMPONENT` voxel centres inside):
 //! 1. Every component of the image (through faces) with a voxel in the piece must have a voxel in another piece of the label:
-//!    pieces that stand for a component of their own stay.
+//!    pieces that stand for a component of their own stay. What the image border has cut may hold no voxel centre any more: such
+//!    a piece stands for the components whose voxels it touches, where no other piece holds or touches them.
 //! 2. A piece stays too where it holds a voxel that is far from every voxel that other pieces of its label hold, as the end of
 //!    a thread one voxel thick: without it that part of the tissue would have no mesh near it. Not where sub-meshes are to be
 //!    manifold and of as many components as the image has.
@@ -36,6 +37,7 @@ use crate::lattice::border_clipping::Clipping;
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
 use crate::lattice::interface_topology::InterfaceTopology;
+use crate::lattice::lost_components::{box_of, touched_box};
 use crate::lattice::mesh_regions::regions_of;
 
 /// A component of fewer voxels may be lost, and a loose piece of as many is told rather than lost.
@@ -82,21 +84,19 @@ pub fn relabel_loose_pieces(
     }
     let components = Components::new(image, Connectivity::Face, Members::Foreground);
     let inside = VoxelsInside { image, components: &components };
-    let held: Vec<Vec<Held>> =
-        pieces.iter().map(|(_, piece)| piece.iter().flat_map(|t| inside.of(mesh, *t)).collect()).collect();
-    let mut left = Left::new(mesh, &inside, &pieces, &held, image.label_count());
-    let may_go = |left: &Left, label: Label, piece: &[u32], held: &[Held]| {
-        held.len() < SMALLEST_COMPONENT && left.is_enough_without(label, piece, held)
-    };
-    let candidates = pieces.iter().zip(&held).filter(|((label, piece), held)| may_go(&left, *label, piece, held));
-    let sought: Vec<Held> = candidates.flat_map(|(_, held)| held).filter(|_| far == FarPieces::Stay).copied().collect();
+    let pieces: Vec<Piece> = pieces.into_iter().map(|(label, tets)| Piece::new(mesh, &inside, label, tets)).collect();
+    let mut left = Left::new(mesh, &inside, &pieces, image.label_count());
+    let may_go = |left: &Left, piece: &Piece| piece.held.len() < SMALLEST_COMPONENT && left.is_enough_without(piece);
+    let candidates = pieces.iter().filter(|piece| may_go(&left, piece));
+    let sought: Vec<Held> =
+        candidates.flat_map(|piece| &piece.held).filter(|_| far == FarPieces::Stay).copied().collect();
     let mut reached = Reached::around(mesh, &inside, &sought);
     let mut loose: Vec<Vec<u32>> = Vec::new();
-    for ((label, piece), held) in pieces.into_iter().zip(held) {
-        if may_go(&left, label, &piece, &held) && (far == FarPieces::Go || reached.is_enough_without(&inside, &held)) {
-            left.take(label, &piece, &held);
-            reached.take(&held);
-            loose.push(piece);
+    for piece in pieces {
+        if may_go(&left, &piece) && (far == FarPieces::Go || reached.is_enough_without(&inside, &piece.held)) {
+            left.take(&piece);
+            reached.take(&piece.held);
+            loose.push(piece.tets);
         }
     }
     if !loose.is_empty() {
@@ -122,32 +122,52 @@ fn small_pieces(mesh: &CandidateMesh, neighbors: &[[u32; 4]], image: &LabelImage
     pieces
 }
 
+/// A small piece of a label and what it has of the tissue.
+struct Piece {
+    label: Label,
+    tets: Vec<u32>,
+    /// The voxels whose centres it holds.
+    held: Vec<Held>,
+    /// Where it holds none, the components of the voxels that it touches.
+    touched: Vec<u32>,
+}
+
+impl Piece {
+    fn new(mesh: &CandidateMesh, inside: &VoxelsInside, label: Label, tets: Vec<u32>) -> Self {
+        let held: Vec<Held> = tets.iter().flat_map(|t| inside.of(mesh, *t)).collect();
+        let mut touched = Vec::new();
+        if held.is_empty() {
+            touched.extend(tets.iter().flat_map(|t| inside.touched_by(mesh, *t)));
+            touched.sort_unstable();
+            touched.dedup();
+        }
+        Self { label, tets, held, touched }
+    }
+}
+
 /// What the pieces that stay have.
 struct Left {
     /// Elements of each label.
     elements: Vec<usize>,
-    /// Voxel centres of each component in elements of its label, for the components that small pieces hold.
+    /// Voxel centres of each component in elements of its label, for the components of small pieces.
     voxels: FxHashMap<u32, usize>,
+    /// Pieces without voxel centres that touch a component.
+    touching: FxHashMap<u32, usize>,
 }
 
 impl Left {
-    /// What all pieces have; `held` are the components of the voxels in each small piece.
-    fn new(
-        mesh: &CandidateMesh,
-        inside: &VoxelsInside,
-        pieces: &[(Label, Vec<u32>)],
-        held: &[Vec<Held>],
-        labels: usize,
-    ) -> Self {
+    /// What all pieces have, the small ones among them.
+    fn new(mesh: &CandidateMesh, inside: &VoxelsInside, pieces: &[Piece], labels: usize) -> Self {
         let mut elements = vec![0; labels];
         mesh.tet_labels.iter().for_each(|l| elements[l.index()] += 1);
-        let sought: FxHashSet<u32> = held.iter().flatten().map(|h| h.component).collect();
+        let of_piece = |piece: &Piece| piece.held.iter().map(|h| h.component).collect::<Vec<u32>>();
+        let sought: FxHashSet<u32> =
+            pieces.iter().flat_map(|piece| [of_piece(piece), piece.touched.clone()].concat()).collect();
         let mut is_sought = vec![false; labels];
-        pieces
-            .iter()
-            .zip(held)
-            .filter(|(_, held)| !held.is_empty())
-            .for_each(|((l, _), _)| is_sought[l.index()] = true);
+        let with_tissue = pieces.iter().filter(|piece| !(piece.held.is_empty() && piece.touched.is_empty()));
+        with_tissue.for_each(|piece| is_sought[piece.label.index()] = true);
+        let mut touching: FxHashMap<u32, usize> = FxHashMap::default();
+        pieces.iter().flat_map(|piece| &piece.touched).for_each(|c| *touching.entry(*c).or_default() += 1);
         let add = |mut voxels: FxHashMap<u32, usize>, t: u32| {
             let found = inside.of(mesh, t).into_iter().map(|h| h.component).filter(|c| sought.contains(c));
             found.for_each(|c| *voxels.entry(c).or_default() += 1);
@@ -160,20 +180,24 @@ impl Left {
         let tets = (0..mesh.tets.len() as u32).into_par_iter().with_min_len(SWEPT_CHUNK);
         let tets = tets.filter(|t| is_sought[mesh.tet_labels[*t as usize].index()]);
         // Whole numbers: the sums do not depend on the order.
-        Self { elements, voxels: tets.fold(FxHashMap::default, add).reduce(FxHashMap::default, sum) }
+        let voxels = tets.fold(FxHashMap::default, add).reduce(FxHashMap::default, sum);
+        Self { elements, voxels, touching }
     }
 
-    /// Whether the label keeps an element without a piece, and each component that the piece holds a voxel elsewhere.
-    fn is_enough_without(&self, label: Label, piece: &[u32], held: &[Held]) -> bool {
-        let in_piece = |component: u32| held.iter().filter(|h| h.component == component).count();
-        self.elements[label.index()] > piece.len()
-            && held.iter().all(|h| self.voxels.get(&h.component).is_some_and(|all| *all > in_piece(h.component)))
+    /// Whether the label keeps an element without a piece, and each component that the piece stands for a voxel elsewhere.
+    fn is_enough_without(&self, piece: &Piece) -> bool {
+        let in_piece = |component: u32| piece.held.iter().filter(|h| h.component == component).count();
+        let count = |of: &FxHashMap<u32, usize>, component: u32| of.get(&component).copied().unwrap_or(0);
+        self.elements[piece.label.index()] > piece.tets.len()
+            && piece.held.iter().all(|h| count(&self.voxels, h.component) > in_piece(h.component))
+            && piece.touched.iter().all(|c| count(&self.voxels, *c) > 0 || count(&self.touching, *c) > 1)
     }
 
     /// A piece goes.
-    fn take(&mut self, label: Label, piece: &[u32], held: &[Held]) {
-        self.elements[label.index()] -= piece.len();
-        held.iter().for_each(|h| *self.voxels.entry(h.component).or_insert(1) -= 1);
+    fn take(&mut self, piece: &Piece) {
+        self.elements[piece.label.index()] -= piece.tets.len();
+        piece.held.iter().for_each(|h| *self.voxels.entry(h.component).or_insert(1) -= 1);
+        piece.touched.iter().for_each(|c| *self.touching.entry(*c).or_insert(1) -= 1);
     }
 }
 
@@ -235,6 +259,15 @@ impl VoxelsInside<'_> {
         let last = DVec3::from_array(grid.size().map(|n| n as f64 - 1.0));
         let high = corners.into_iter().fold(DVec3::NEG_INFINITY, DVec3::max).floor().min(last);
         low.cmple(high).all().then(|| (corners, [low, high].map(|v| v.as_uvec3().to_array())))
+    }
+
+    /// The components of the voxels of its own label that the box of an element touches.
+    fn touched_by(&self, mesh: &CandidateMesh, tet: u32) -> Vec<u32> {
+        let label = mesh.tet_labels[tet as usize];
+        let [low, high] = touched_box(&mesh.tets[tet as usize].map(|v| mesh.points[v.index()]), self.image, 0.0);
+        let voxels = box_of(low, high).map(|voxel| voxel.map(|v| v as usize));
+        let own = voxels.filter(|[i, j, k]| self.image.at(*i, *j, *k) == label);
+        own.filter_map(|[i, j, k]| self.components.component_at(i, j, k)).collect()
     }
 
     /// The voxels of its own label in an element.
@@ -389,6 +422,18 @@ mod tests {
         assert_eq!(pieces_left(&above), (1, 1));
         let aside = voxel_image(6, |p| u16::from(p == DVec3::splat(5.0)));
         assert_eq!(pieces_left(&aside), (1, 1));
+    }
+
+    #[test]
+    fn a_piece_without_a_voxel_centre_stays_where_nothing_else_stands_for_a_voxel_that_it_touches() {
+        // Voxel (2, 2, 3) lies beside the upper prism, which touches it and holds none.
+        let alone = voxel_image(6, |p| u16::from(p == DVec3::new(2.0, 2.0, 3.0) || p == DVec3::ONE));
+        assert_eq!(pieces_left(&alone), (0, 2));
+        // Joined to voxel (1, 2, 1), which the lower prism holds.
+        let joined = voxel_image(6, |p| {
+            u16::from(p.x == 2.0 && p.y == 2.0 && (1.0..=3.0).contains(&p.z) || p == DVec3::new(1.0, 2.0, 1.0))
+        });
+        assert_eq!(pieces_left(&joined), (1, 1));
     }
 
     #[test]

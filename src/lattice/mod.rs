@@ -9,7 +9,8 @@
 //! 5. Labels by centroid, relabelled so that surfaces can move ([`element_labels`]).
 //! 6. Smoothing ([`smoothing`]): the lattice is cut flat at the image border ([`border_clipping`]), surfaces are pulled to the
 //!    image boundary, elements improved, around what stays bad by a search ([`iterated_search`]).
-//! 7. World coordinates, surfaces, mid-edge nodes ([`finishing`]).
+//! 7. What the mesh has lost is told ([`lost_components`]).
+//! 8. World coordinates, surfaces, mid-edge nodes ([`finishing`]).
 //!
 //! # Source
 //! [Drakopoulos2017] chapter 2; [Molino2003] for the lattice and its refinement.
@@ -41,6 +42,7 @@ pub mod iterated_search;
 pub mod lattice_improvement;
 pub mod local_transformations;
 pub mod loose_pieces;
+pub mod lost_components;
 pub mod mesh_regions;
 pub mod missed_voxels;
 pub mod mixed_elements;
@@ -158,7 +160,9 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
     if options.smoothing_iterations > 0 {
         let points = smoothing::smooth(&mut candidate, &clean, options, &mut report, context)?;
         smoothing_outputs(points, image, options, &mut output);
+        report.timed("lost_components", || lost_components::find_lost(&mut candidate, image));
     }
+    lost_components::tell_lost(&candidate.lost, image, values, context);
     context.progress("finishing", progress_shares::FINISHING);
     if options.mixed_elements {
         let limit = options.max_surface_triangles_on_pyramid;
