@@ -23,6 +23,7 @@ use rayon::prelude::*;
 
 use crate::context::RunContext;
 use crate::error::{Error, Result};
+use crate::geometry::spatial_sort::hilbert_order;
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
 use crate::lattice::vertex_table::{NewVertex, VertexTable};
@@ -380,6 +381,18 @@ impl LatticeVertices {
     }
 }
 
+/// The cubes of the coarsest lattice along a Hilbert curve. Leaves keep the order of their cubes, elements and vertices that of the
+/// leaves: what is near in space is near in memory through all that follows.
+fn cubes_along_curve(frame: &LatticeFrame) -> Result<Vec<IVec3>> {
+    let [x, y, z] = frame.cubes.to_array();
+    let cubes: Vec<DVec3> = (0..z)
+        .flat_map(|k| {
+            (0..y).flat_map(move |j| (0..x).map(move |i| DVec3::new(f64::from(i), f64::from(j), f64::from(k))))
+        })
+        .collect();
+    Ok(hilbert_order(&cubes)?.into_iter().map(|cube| cubes[cube as usize].as_ivec3()).collect())
+}
+
 /// The coarsest tets that can hold a labelled voxel, cube by cube.
 ///
 /// # Errors
@@ -394,26 +407,24 @@ pub fn coarsest_tets(
     let axes = [IVec3::X, IVec3::Y, IVec3::Z];
     let radius = TET_RADIUS * frame.spacing;
     let mut tets = Vec::new();
-    for z in 0..frame.cubes.z {
-        context.check()?;
-        for y in 0..frame.cubes.y {
-            for x in 0..frame.cubes.x {
-                let corner = edge * IVec3::new(x, y, z);
-                for axis in 0..3 {
-                    if corner[axis] + edge >= edge * frame.cubes[axis] {
-                        continue;
-                    }
-                    let [along, u, v] = [axes[axis], axes[(axis + 1) % 3], axes[(axis + 2) % 3]];
-                    let center = corner + edge / 2;
-                    let face = corner + edge * along;
-                    let ring = [face, face + edge * u, face + edge * (u + v), face + edge * v];
-                    for side in 0..4 {
-                        let tet = [center, center + edge * along, ring[side], ring[(side + 1) % 4]];
-                        let centroid = 0.25 * tet.iter().map(|p| frame.local(*p)).sum::<DVec3>();
-                        if field.may_hold_labels(centroid, radius) {
-                            tets.push(tet.map(|p| vertices.insert(p, frame, field)));
-                        }
-                    }
+    for (number, cube) in cubes_along_curve(frame)?.into_iter().enumerate() {
+        if number % 1024 == 0 {
+            context.check()?;
+        }
+        let corner = edge * cube;
+        for axis in 0..3 {
+            if corner[axis] + edge >= edge * frame.cubes[axis] {
+                continue;
+            }
+            let [along, u, v] = [axes[axis], axes[(axis + 1) % 3], axes[(axis + 2) % 3]];
+            let center = corner + edge / 2;
+            let face = corner + edge * along;
+            let ring = [face, face + edge * u, face + edge * (u + v), face + edge * v];
+            for side in 0..4 {
+                let tet = [center, center + edge * along, ring[side], ring[(side + 1) % 4]];
+                let centroid = 0.25 * tet.iter().map(|p| frame.local(*p)).sum::<DVec3>();
+                if field.may_hold_labels(centroid, radius) {
+                    tets.push(tet.map(|p| vertices.insert(p, frame, field)));
                 }
             }
         }

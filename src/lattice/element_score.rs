@@ -206,16 +206,34 @@ pub fn part_score(corners: [DVec3; 4], part: Part) -> f64 {
     part.weighted(tet_score(corners))
 }
 
-/// The lowest [`part_score`] of some tets, infinite for none; the angle is taken once.
-pub fn lowest_score(tets: impl Iterator<Item = ([DVec3; 4], Part)>) -> f64 {
-    let (mut own, mut scaffold) = (None::<Worst>, None::<Worst>);
-    for (corners, part) in tets {
-        let of_part = if part == Part::Mesh { &mut own } else { &mut scaffold };
+/// The lowest [`part_score`] of tets that are joined one after the other; the angle is taken once.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct LowestScore {
+    own: Option<Worst>,
+    scaffold: Option<Worst>,
+}
+
+impl LowestScore {
+    /// One more tet.
+    #[inline]
+    pub fn join(&mut self, corners: [DVec3; 4], part: Part) {
+        let of_part = if part == Part::Mesh { &mut self.own } else { &mut self.scaffold };
         let worst = worst_of_tet(corners);
         *of_part = Some(of_part.map_or(worst, |known| known.join(worst)));
     }
-    let score = |worst: Option<Worst>, part: Part| worst.map_or(f64::INFINITY, |worst| part.weighted(worst.score()));
-    score(own, Part::Mesh).min(score(scaffold, Part::Scaffold))
+
+    /// Degrees; infinite without tets.
+    pub fn score(&self) -> f64 {
+        let of = |worst: Option<Worst>, part: Part| worst.map_or(f64::INFINITY, |worst| part.weighted(worst.score()));
+        of(self.own, Part::Mesh).min(of(self.scaffold, Part::Scaffold))
+    }
+}
+
+/// The lowest [`part_score`] of some tets, infinite for none.
+pub fn lowest_score(tets: impl Iterator<Item = ([DVec3; 4], Part)>) -> f64 {
+    let mut lowest = LowestScore::default();
+    tets.for_each(|(corners, part)| lowest.join(corners, part));
+    lowest.score()
 }
 
 /// Whether [`part_score`] is below a threshold; cheaper than the score.
@@ -259,18 +277,21 @@ pub struct Ball {
 }
 
 impl Ball {
-    /// Takes the faces opposite to a vertex, outward.
-    pub fn fill(&mut self, faces: impl Iterator<Item = ([DVec3; 3], Part)>) {
+    /// Forgets all tets.
+    pub fn clear(&mut self) {
         self.faces.clear();
         self.scaffold.clear();
-        for (corners, part) in faces {
-            let [a, b, c] = corners;
-            let normal = (b - a).cross(c - a);
-            let face = Opposite { corners, normal, scale: normal.length_squared().recip() };
-            match part {
-                Part::Mesh => self.faces.push(face),
-                Part::Scaffold => self.scaffold.push(face),
-            }
+    }
+
+    /// Takes a tet by its face opposite to the vertex, outward.
+    #[inline]
+    pub fn push(&mut self, corners: [DVec3; 3], part: Part) {
+        let [a, b, c] = corners;
+        let normal = (b - a).cross(c - a);
+        let face = Opposite { corners, normal, scale: normal.length_squared().recip() };
+        match part {
+            Part::Mesh => self.faces.push(face),
+            Part::Scaffold => self.scaffold.push(face),
         }
     }
 
@@ -404,7 +425,7 @@ mod tests {
             })
             .collect();
         let mut ball = Ball::default();
-        ball.fill(faces.iter().map(|face| (*face, Part::Mesh)));
+        faces.iter().for_each(|face| ball.push(*face, Part::Mesh));
         for n in 0..60 {
             let t = f64::from(n);
             let place = DVec3::new((t * 0.7).sin(), (t * 1.3).cos(), (t * 2.1).sin()) * 0.02 * t;

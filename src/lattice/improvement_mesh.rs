@@ -10,19 +10,21 @@
 //! # Cost
 //! About 24 bytes per vertex and 20 per tet beside the mesh.
 
-use std::ops::Range;
-
 use glam::DVec3;
 use rustc_hash::FxHashMap;
 
 use crate::index::{Label, VertexId};
 use crate::lattice::boundary_targets::SourcePoints;
-use crate::lattice::candidate_mesh::{CandidateMesh, MergeableCube};
+use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::change_log::{ChangeLog, Filled, Mark, Taken, Undone};
-use crate::lattice::element_score::{Ball, Part, Threshold, lowest_score, part_fails, part_score};
+use crate::lattice::element_score::{Ball, LowestScore, Part, Threshold, part_fails, part_score};
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::lattice::surface_stars::SurfaceStars;
+use crate::lattice::vertex_order::renumber_records;
 use crate::mesh::numbering::TET_FACES;
+
+/// Rows that are asked for at once.
+const ROWS_AT_ONCE: usize = 32;
 
 /// A dead slot.
 const DEAD: [u32; 4] = [u32::MAX; 4];
@@ -39,18 +41,21 @@ pub struct ImprovementMesh<'a> {
     pub surface: SubvoxelSurface<'a>,
     /// Vertices that must stay.
     pub fixed: Vec<bool>,
-    balls: Vec<Vec<u32>>,
-    side_set: Vec<u32>,
+    /// Tets of each vertex.
+    pub(super) balls: Vec<Vec<u32>>,
+    pub(super) side_set: Vec<u32>,
     sets: Vec<Vec<Side>>,
     /// Whether the background or a border is among the sides, by set.
     is_outer_set: Vec<bool>,
     set_numbers: FxHashMap<Vec<Side>, u32>,
-    free: Vec<u32>,
+    pub(super) free: Vec<u32>,
     scratch: Ball,
     log: ChangeLog,
-    stars: SurfaceStars,
+    pub(super) stars: SurfaceStars,
     /// The vertices that the scaffold brought.
-    still: Range<u32>,
+    pub(super) still: Vec<bool>,
+    /// Where the lattice had each vertex; not a number for those that it did not have.
+    pub(super) lattice: Vec<DVec3>,
 }
 
 /// A face of the ball of a vertex that separates two sides: the other two vertices.
@@ -96,12 +101,7 @@ impl<'a> ImprovementMesh<'a> {
         mesh.tets = Vec::new();
         let in_mesh = points.len();
         points.extend(scaffold.points);
-        let mut counts = vec![0u32; points.len()];
-        tets.as_flattened().iter().for_each(|v| counts[*v as usize] += 1);
-        let mut balls: Vec<Vec<u32>> = counts.iter().map(|c| Vec::with_capacity(*c as usize)).collect();
-        for (t, tet) in tets.iter().enumerate() {
-            tet.iter().for_each(|v| balls[*v as usize].push(t as u32));
-        }
+        let balls = balls_of(&tets, points.len());
         let mut fixed = vec![false; points.len()];
         mesh.fixed.iter().for_each(|v| fixed[v.index()] = true);
         fixed[in_mesh..].fill(true);
@@ -109,7 +109,8 @@ impl<'a> ImprovementMesh<'a> {
             side_set: vec![0; points.len()],
             log: ChangeLog::default(),
             stars: SurfaceStars::new(points.len()),
-            still: in_mesh as u32..points.len() as u32,
+            still: (0..points.len()).map(|v| v >= in_mesh).collect(),
+            lattice: vec![DVec3::NAN; points.len()],
             points,
             tets,
             labels,
@@ -143,18 +144,7 @@ impl<'a> ImprovementMesh<'a> {
                 mesh.tet_labels.push(*label);
             }
         }
-        let number = |v: &mut VertexId| *v = VertexId(renumbered[v.index()]);
-        mesh.fixed.iter_mut().for_each(number);
-        // A cube that lost a vertex has lost tets too.
-        let is_whole = |c: &MergeableCube| {
-            [&[c.center], &c.corners[..], &c.apexes[..]].concat().iter().all(|v| renumbered[v.index()] != u32::MAX)
-        };
-        mesh.cubes.retain(is_whole);
-        for cube in &mut mesh.cubes {
-            number(&mut cube.center);
-            cube.corners.iter_mut().for_each(number);
-            cube.apexes.iter_mut().for_each(number);
-        }
+        renumber_records(mesh, &renumbered);
     }
 
     /// A trial begins, which can be taken back until it ends.
@@ -232,7 +222,19 @@ impl<'a> ImprovementMesh<'a> {
     /// Whether a vertex is one of the scaffold's own, which are where the lattice has them.
     #[inline]
     pub fn is_still(&self, v: u32) -> bool {
-        self.still.contains(&v)
+        self.still[v as usize]
+    }
+
+    /// Says where the lattice had the vertices, those of the scaffold included; before any is added.
+    pub fn set_lattice(&mut self, lattice: Vec<DVec3>) {
+        debug_assert_eq!(lattice.len(), self.points.len());
+        self.lattice = lattice;
+    }
+
+    /// Where the lattice had a vertex; `None` for those that came later.
+    #[inline]
+    pub fn place_in_lattice(&self, v: u32) -> Option<DVec3> {
+        Some(self.lattice[v as usize]).filter(|place| !place.is_nan())
     }
 
     /// Tets of a vertex.
@@ -260,8 +262,13 @@ impl<'a> ImprovementMesh<'a> {
     /// Points of a tet.
     #[inline]
     pub fn corners(&self, t: u32) -> [DVec3; 4] {
+        self.corners_of(self.tets[t as usize])
+    }
+
+    /// Points of a row.
+    #[inline]
+    fn corners_of(&self, [a, b, c, d]: [u32; 4]) -> [DVec3; 4] {
         // Written out: a closure over the row is not inlined into the loops that call this most.
-        let [a, b, c, d] = self.tets[t as usize];
         [self.points[a as usize], self.points[b as usize], self.points[c as usize], self.points[d as usize]]
     }
 
@@ -283,19 +290,32 @@ impl<'a> ImprovementMesh<'a> {
         part_fails(self.corners(t), self.part(t), threshold)
     }
 
+    /// Goes through the rows of a group of tets. They lie apart in memory: all rows of a chunk are asked for before the first is
+    /// used, so that the processor waits for them side by side.
+    #[inline]
+    fn for_each_row(&self, tets: &[u32], mut work: impl FnMut(u32, [u32; 4])) {
+        let mut rows = [DEAD; ROWS_AT_ONCE];
+        for chunk in tets.chunks(ROWS_AT_ONCE) {
+            rows.iter_mut().zip(chunk).for_each(|(row, t)| *row = self.tets[*t as usize]);
+            rows.iter().zip(chunk).for_each(|(row, t)| work(*t, *row));
+        }
+    }
+
     /// Lowest score in a group of tets.
     pub fn lowest(&self, tets: &[u32]) -> f64 {
-        lowest_score(tets.iter().map(|t| (self.corners(*t), self.part(*t))))
+        let mut lowest = LowestScore::default();
+        self.for_each_row(tets, |t, row| lowest.join(self.corners_of(row), self.part(t)));
+        lowest.score()
     }
 
     /// Fills `ball` with the tets of a vertex.
     pub fn gather(&self, v: u32, ball: &mut Ball) {
-        ball.fill(self.ball(v).iter().map(|t| {
-            let tet = self.tets[*t as usize];
+        ball.clear();
+        self.for_each_row(self.ball(v), |t, tet| {
             let own = tet.iter().position(|w| *w == v).unwrap_or(0);
-            let [a, b, c] = TET_FACES[own];
-            ([self.points[tet[a] as usize], self.points[tet[b] as usize], self.points[tet[c] as usize]], self.part(*t))
-        }));
+            let [a, b, c] = TET_FACES[own].map(|at| self.points[tet[at] as usize]);
+            ball.push([a, b, c], self.part(t));
+        });
     }
 
     /// The tet on the other side of the face of `t` opposite to its corner `face`.
@@ -345,8 +365,7 @@ impl<'a> ImprovementMesh<'a> {
     pub fn append_surface_faces(&self, v: u32, open: &mut Vec<OpenFace>, faces: &mut Vec<SurfaceFace>) {
         let first = faces.len();
         open.clear();
-        for &t in self.ball(v) {
-            let tet = self.tets[t as usize];
+        self.for_each_row(self.ball(v), |t, tet| {
             let own = tet.iter().position(|w| *w == v).unwrap_or(0);
             // The other vertices in outward order seen from outside of the face opposite to v: with v, each pair of them in
             // reverse order is an outward face.
@@ -364,7 +383,7 @@ impl<'a> ImprovementMesh<'a> {
                     }
                 }
             }
-        }
+        });
         let is_of_mesh = |face: &&OpenFace| self.part(face.tet) == Part::Mesh;
         let outermost = open.iter().filter(is_of_mesh);
         faces.extend(outermost.map(|face| SurfaceFace { others: face.others, inner: face.tet, outer: None }));
@@ -522,6 +541,8 @@ impl<'a> ImprovementMesh<'a> {
         self.balls.push(Vec::new());
         self.side_set.push(set);
         self.fixed.push(false);
+        self.still.push(false);
+        self.lattice.push(DVec3::NAN);
         self.points.len() as u32 - 1
     }
 
@@ -532,7 +553,20 @@ impl<'a> ImprovementMesh<'a> {
         self.balls.pop();
         self.side_set.pop();
         self.fixed.pop();
+        self.still.pop();
+        self.lattice.pop();
     }
+}
+
+/// The tets of each vertex, in order.
+pub fn balls_of(tets: &[[u32; 4]], vertices: usize) -> Vec<Vec<u32>> {
+    let mut counts = vec![0u32; vertices];
+    tets.as_flattened().iter().for_each(|v| counts[*v as usize] += 1);
+    let mut balls: Vec<Vec<u32>> = counts.iter().map(|c| Vec::with_capacity(*c as usize)).collect();
+    for (t, tet) in tets.iter().enumerate() {
+        tet.iter().for_each(|v| balls[*v as usize].push(t as u32));
+    }
+    balls
 }
 
 /// The part that tets of a label are of.

@@ -105,9 +105,7 @@ impl Outcome {
 }
 
 /// What a search reads and may spend.
-pub struct IteratedSearch<'a> {
-    /// Where the first vertices of the mesh stood before smoothing.
-    pub lattice: &'a [DVec3],
+pub struct IteratedSearch {
     /// Score below which a tet is low, degrees.
     pub wanted: f64,
     /// How far a new surface vertex may stay off its surface, mm.
@@ -122,7 +120,7 @@ pub struct IteratedSearch<'a> {
     pub changed: Vec<u32>,
 }
 
-impl IteratedSearch<'_> {
+impl IteratedSearch {
     /// Searches around each of the tets `low`; `mend` makes the tets of some vertices better. Returns how often something became
     /// better.
     ///
@@ -205,7 +203,7 @@ impl IteratedSearch<'_> {
 
     fn perturb(&self, mesh: &mut ImprovementMesh, perturbation: Perturbation) -> bool {
         match perturbation {
-            Perturbation::StepBack(vertices) => vertices.map(|v| step_back(mesh, self.lattice, v)).contains(&true),
+            Perturbation::StepBack(vertices) => vertices.map(|v| step_back(mesh, v)).contains(&true),
             Perturbation::Contract(from, to) => contract_edge(mesh, from, to, &Threshold::of(LEAST_PERTURBED)),
             Perturbation::Split(a, b) => split(mesh, a, b, self.slack),
         }
@@ -224,12 +222,12 @@ pub fn vertices_around(mesh: &ImprovementMesh, others: &[u32]) -> Vec<u32> {
 }
 
 /// A vertex goes back a part of its way from the lattice, the largest that leaves no tet flat.
-fn step_back(mesh: &mut ImprovementMesh, lattice: &[DVec3], v: u32) -> bool {
-    let Some(goal) = lattice.get(v as usize).filter(|_| !mesh.fixed[v as usize]) else { return false };
+fn step_back(mesh: &mut ImprovementMesh, v: u32) -> bool {
+    let Some(goal) = mesh.place_in_lattice(v).filter(|_| !mesh.fixed[v as usize]) else { return false };
     let place = mesh.points[v as usize];
     let needed = Threshold::of(LEAST_PERTURBED);
     mesh.with_ball(v, |mesh, ball| {
-        let at = |part: f64| in_planes(mesh, v, place.lerp(*goal, part));
+        let at = |part: f64| in_planes(mesh, v, place.lerp(goal, part));
         let found = STEPS_BACK.into_iter().map(at).find(|place| ball.score_above(*place, &needed).is_some());
         found.inspect(|place| mesh.move_vertex(v, *place)).is_some()
     })
@@ -294,11 +292,11 @@ mod tests {
         let tet_labels = vec![Label(1); tets.len()];
         let mut mesh = CandidateMesh { points: points.clone(), tets, tet_labels, ..CandidateMesh::default() };
         let mut work = ImprovementMesh::new(&mut mesh, &SourcePoints::default(), surface);
+        work.set_lattice(points);
         [0, 3, 4, 5, 6, 7].into_iter().for_each(|v: usize| work.fixed[v] = true);
         let before = (work.points.clone(), work.tets.clone(), work.labels.clone());
         let low = || (8..12).collect::<Vec<u32>>();
         let mut search = IteratedSearch {
-            lattice: &points,
             wanted: 90.0,
             slack: 0.0,
             perturbations: Perturbations::All,

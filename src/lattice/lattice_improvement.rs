@@ -40,7 +40,7 @@ use crate::lattice::iterated_search::{IteratedSearch, Perturbations, Reach};
 use crate::lattice::local_transformations::{TransformationCounts, loosen_scaffold, transform};
 use crate::lattice::progress_shares;
 use crate::lattice::scaffold::STIFF_SCAFFOLD_ANGLE;
-use crate::lattice::short_edges::contract_short_edges;
+use crate::lattice::short_edges::{Uncontracted, contract_short_edges};
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
 use crate::lattice::surface_approach::approach_surface;
 use crate::lattice::surface_crossings::count_crossings;
@@ -86,6 +86,9 @@ const NEEDLE: f64 = 0.2;
 
 /// Sweeps over needles.
 const NEEDLE_PASSES: usize = 3;
+
+/// Rounds before which vertices and tets are renumbered: that of the lattice, and that after most splits.
+const RENUMBERED_ROUNDS: [usize; 2] = [0, 2];
 
 /// Rounds at the end in which surface vertices may yield to quality.
 const YIELDING_ROUNDS: usize = 2;
@@ -192,7 +195,7 @@ pub fn improve(
     clean: &CleanImage,
     surface: SubvoxelSurface,
     sources: &SourcePoints,
-    lattice: &[DVec3],
+    lattice: Vec<DVec3>,
     options: &ImprovementOptions,
     context: &RunContext,
 ) -> Result<ImprovementSummary> {
@@ -201,6 +204,7 @@ pub fn improve(
     let slack = SLACK * voxel;
     let wanted = WANTED.max(options.min_dihedral_angle);
     let mut work = ImprovementMesh::new(mesh, sources, surface);
+    work.set_lattice(lattice);
     summary.low_before = low_tets(&work, wanted).len();
     let advance = |passes: usize| {
         let shares = (progress_shares::DEFORMED, progress_shares::IMPROVED);
@@ -208,6 +212,9 @@ pub fn improve(
     };
     for round in 0..ROUNDS {
         advance(round);
+        if RENUMBERED_ROUNDS.contains(&round) {
+            work.renumber_along_curve(mesh)?;
+        }
         let may_transform = options.transformations == Transformations::Local;
         let surfaces = if round + YIELDING_ROUNDS >= ROUNDS { Surfaces::MayYield } else { Surfaces::Stay };
         let low = relax_all(&mut work, RELAXATION_BOUNDS[round], wanted, context)?;
@@ -233,7 +240,8 @@ pub fn improve(
                 approach_surface(&mut work, FAR.map(|f| f * voxel), effort.wanted, budget, &mut mend)?;
         }
         if may_transform && round == SHORT_EDGE_ROUND {
-            summary.counts.short_edges += contract_short_edges(&mut work, wanted, COARSENED, 1);
+            // The next round moves all vertices.
+            summary.counts.short_edges += contract_short_edges(&mut work, wanted, COARSENED, 1, Uncontracted::Stay);
         }
         if round + 1 < ROUNDS {
             update_offsets(&mut work, &clean.volumes, LARGEST_OFFSET * voxel);
@@ -241,11 +249,12 @@ pub fn improve(
     }
     advance(ROUNDS);
     if options.transformations == Transformations::Local {
-        summary.counts.short_edges += contract_short_edges(&mut work, wanted, NEEDLE, NEEDLE_PASSES);
+        summary.counts.short_edges +=
+            contract_short_edges(&mut work, wanted, NEEDLE, NEEDLE_PASSES, Uncontracted::Lengthen);
         loosen_all(&mut work);
     }
     advance(ROUNDS + 1);
-    let (searched, left) = search_last(&mut work, lattice, options, voxel, &mut summary.counts, context)?;
+    let (searched, left) = search_last(&mut work, options, voxel, &mut summary.counts, context)?;
     summary.searched = searched;
     for _ in 0..options.laplacian_iterations {
         context.check()?;
@@ -294,7 +303,6 @@ fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunC
 /// tets that are still low, worst first.
 fn search_last(
     work: &mut ImprovementMesh,
-    lattice: &[DVec3],
     options: &ImprovementOptions,
     voxel: f64,
     counts: &mut TransformationCounts,
@@ -313,7 +321,7 @@ fn search_last(
             mend_around(work, vertices, &effort, may_transform.then_some(&mut *counts), context)
         };
         let mut search =
-            IteratedSearch { lattice, wanted, slack: effort.slack, perturbations, reach, budget, changed: Vec::new() };
+            IteratedSearch { wanted, slack: effort.slack, perturbations, reach, budget, changed: Vec::new() };
         better += search.run(work, &low, &mut mend)?;
         budget = search.budget;
         // Nowhere else has anything changed.

@@ -74,6 +74,7 @@ pub mod topology_differences;
 mod topology_tests;
 pub mod untangling;
 pub mod vertex_optimization;
+pub mod vertex_order;
 pub mod vertex_table;
 pub mod volume_offsets;
 pub mod voxel_cleanup;

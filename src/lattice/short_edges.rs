@@ -22,8 +22,23 @@ use crate::lattice::local_transformations::{contract_edge, may_contract};
 use crate::lattice::vertex_optimization::{plan_centering, plan_relaxation};
 use crate::mesh::numbering::TET_EDGES;
 
+/// What becomes of an edge that cannot be contracted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Uncontracted {
+    /// It stays as it is.
+    Stay,
+    /// Its ends move apart.
+    Lengthen,
+}
+
 /// Contracts edges below the share `short` of the longest in their tet, in at most `passes` sweeps; returns how many.
-pub fn contract_short_edges(mesh: &mut ImprovementMesh, wanted: f64, short: f64, passes: usize) -> usize {
+pub fn contract_short_edges(
+    mesh: &mut ImprovementMesh,
+    wanted: f64,
+    short: f64,
+    passes: usize,
+    others: Uncontracted,
+) -> usize {
     let mut contracted = 0;
     let mut edges = short_edges(mesh, short, (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096));
     for pass in 1..=passes {
@@ -39,7 +54,7 @@ pub fn contract_short_edges(mesh: &mut ImprovementMesh, wanted: f64, short: f64,
             if contract(mesh, a, b, wanted) {
                 contracted += 1;
                 touched.extend([a, b]);
-            } else {
+            } else if others == Uncontracted::Lengthen {
                 move_apart(mesh, [a, b], wanted, &mut tried);
                 touched
                     .extend([a, b].iter().zip(places).filter(|(v, p)| mesh.points[**v as usize] != *p).map(|(v, _)| v));
@@ -139,7 +154,7 @@ mod tests {
         let mut work = ImprovementMesh::new(&mut mesh, &SourcePoints::default(), surface);
         // Without sources no vertex is on a surface: those of the outside are held instead.
         [0, 3, 4, 5, 6, 7].into_iter().for_each(|v: usize| work.fixed[v] = true);
-        assert_eq!(contract_short_edges(&mut work, 15.0, 0.2, 3), 1);
+        assert_eq!(contract_short_edges(&mut work, 15.0, 0.2, 3, Uncontracted::Lengthen), 1);
         work.finish(&mut mesh);
         assert_eq!((mesh.points.len(), mesh.tets.len()), (7, 8));
         let volume: f64 =

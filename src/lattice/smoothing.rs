@@ -100,7 +100,7 @@ pub fn smooth(
         min_dihedral_angle: options.min_dihedral_angle,
     };
     let result =
-        report.timed("improvement", || improve(mesh, clean, surface, &sources, &lattice, &improvement, context))?;
+        report.timed("improvement", || improve(mesh, clean, surface, &sources, lattice, &improvement, context))?;
     report.set("improvement.low_before", result.low_before as f64);
     report.set("improvement.low_after", result.low_after as f64);
     report.set("improvement.lowest_score", result.lowest);

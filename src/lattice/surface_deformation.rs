@@ -277,12 +277,12 @@ fn scale_confidence(
     confidence: &mut [f64],
 ) -> bool {
     let bound = Threshold::of(input.options.min_dihedral_angle);
+    let pairs = mesh.points.par_iter().zip(displacements).with_min_len(4096);
+    let moved: Vec<DVec3> = pairs.map(|(point, displacement)| *point + *displacement).collect();
     let is_spoiled = |t: &&u32| {
         let tet = mesh.tets[**t as usize];
-        let [a, b, c, d] = tet;
-        let place = |v: VertexId| mesh.points[v.index()] + displacements[v.index()];
-        let moved = [place(a), place(b), place(c), place(d)];
-        tet_fails(moved, &bound) && tet_score(moved) < tet_score(tet.map(|v| mesh.points[v.index()]))
+        let [a, b, c, d] = tet.map(|v| moved[v.index()]);
+        tet_fails([a, b, c, d], &bound) && tet_score([a, b, c, d]) < tet_score(tet.map(|v| mesh.points[v.index()]))
     };
     let spoiled: Vec<u32> = body.near.par_iter().with_min_len(1024).filter(is_spoiled).copied().collect();
     let mut vertices: Vec<VertexId> = spoiled.iter().flat_map(|t| mesh.tets[*t as usize]).collect();
