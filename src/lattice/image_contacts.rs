@@ -4,7 +4,7 @@
 //! 1. Elements may take a label only if each label that they then have a face with lies face to face with it in the image, near
 //!    that face.
 //! 2. A face between labels that the image keeps apart is a breach where a label beside it touches both: the lattice has opened
-//!    a wall.
+//!    a wall. Not where two such labels are kept apart themselves: four labels meet there along a line, of which two have to touch.
 //! ```text
 //!    1 1 2 0 0        a wall (2) one voxel thick: labels 1 and 0 meet at corners of voxels only. Where the wall pinches at a
 //!    1 1 1 2 0        vertex, giving elements of the wall to label 1 or 0 would mend the pinch, and open the wall;
@@ -85,11 +85,16 @@ impl<'a> ImageContacts<'a> {
         for (e, face) in apart {
             let corners = TET_FACES[face].map(|v| self.tets[e as usize][v]);
             let Some([one, other]) = sides(e, face) else { continue };
-            let is_wall = |near: &u32| {
-                let label = labels[*near as usize];
-                label != one && label != other && touch(e, face, [label, one]) && touch(e, face, [label, other])
+            let is_wall = |label: &Label| {
+                *label != one && *label != other && touch(e, face, [*label, one]) && touch(e, face, [*label, other])
             };
-            if topology.elements_around(&corners).iter().any(is_wall) {
+            let mut walls: Vec<Label> =
+                topology.elements_around(&corners).iter().map(|near| labels[*near as usize]).collect();
+            walls.sort_unstable();
+            walls.dedup();
+            walls.retain(is_wall);
+            let joined = |(at, wall): (usize, &Label)| walls[..at].iter().all(|w| touch(e, face, [*w, *wall]));
+            if !walls.is_empty() && walls.iter().enumerate().all(joined) {
                 vertices.extend(corners);
             }
         }
@@ -201,6 +206,23 @@ mod tests {
             let around = topology.elements_around(&breached);
             let apart = |label: u16| around.iter().filter(|e| contacts.keeps_apart(**e, &labels, Label(label))).count();
             assert!(apart(1) > 0 && apart(3) > 0 && apart(2) == 0, "{} {} {}", apart(1), apart(2), apart(3));
+        });
+    }
+
+    #[test]
+    fn a_line_where_four_labels_meet_is_no_breach() {
+        let image = voxel_image(9, |p| 1 + u16::from(p.x >= 4.0) + 2 * u16::from(p.y >= 4.0));
+        with_lattice(&image, 1.0, |lattice, context| {
+            let elements = lattice.elements(context).unwrap();
+            let vertices = lattice.vertices.positions.len();
+            let neighbors = neighbors_of(&elements.tets, vertices).unwrap();
+            let contacts = ImageContacts::new(&lattice, &elements.tets, &neighbors);
+            // Labels 1 and 4, or 2 and 3, touch: one of these pairs has to.
+            let label = |e: usize| elements.labels[e].0;
+            let is_diagonal = |e: usize, n: &u32| *n != OUTSIDE && label(e) + label(*n as usize) == 5;
+            assert!((0..neighbors.len()).any(|e| neighbors[e].iter().any(|n| is_diagonal(e, n))));
+            let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
+            assert!(contacts.breached(&elements.labels, &topology, |_| true).is_empty());
         });
     }
 
