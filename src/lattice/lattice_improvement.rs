@@ -12,6 +12,7 @@
 //! Edges much shorter than those around them are contracted in between and then ([`short_edges`](crate::lattice::short_edges));
 //! in two rounds surface edges and faces are split that cut off what bends ([`chord_splits`](crate::lattice::chord_splits)), in a third
 //! one what still is far off its surface is brought nearer ([`surface_approach`](crate::lattice::surface_approach)).
+//! Vertices and tets are renumbered along a curve first, and again after most splits ([`vertex_order`](crate::lattice::vertex_order)).
 //! Around tets that are low after all that, the mesh is searched through worse ones, and surface vertices may stay off their
 //! surface by a little more each time ([`iterated_search`](crate::lattice::iterated_search)).
 //!
