@@ -14,7 +14,7 @@
 
 use glam::DVec3;
 use rayon::prelude::*;
-use rustc_hash::{FxHashMap, FxHashSet};
+use rustc_hash::FxHashMap;
 
 use crate::context::RunContext;
 use crate::error::{Finding, FindingCode, Severity};
@@ -49,11 +49,14 @@ pub fn find_lost(mesh: &mut CandidateMesh, image: &LabelImage) {
     if sought.is_empty() {
         return;
     }
-    let blocks: FxHashSet<[u32; 3]> = sought.keys().map(|voxel| voxel.map(|v| v / BLOCK)).collect();
+    let counts = image.grid().size().map(|n| n.div_ceil(BLOCK as usize));
+    let number = |[i, j, k]: [u32; 3]| i as usize + counts[0] * (j as usize + counts[1] * k as usize);
+    let mut has_sought = vec![false; counts.iter().product()];
+    sought.keys().for_each(|voxel| has_sought[number(voxel.map(|v| v / BLOCK))] = true);
     let label_of = |c: u32| components.components()[c as usize].label;
     let seen_by = |(corners, label): ([DVec3; 4], Label)| {
         let [low, high] = touched_box(&corners, image, NEAR);
-        let beside = box_of(low.map(|v| v / BLOCK), high.map(|v| v / BLOCK)).any(|block| blocks.contains(&block));
+        let beside = box_of(low.map(|v| v / BLOCK), high.map(|v| v / BLOCK)).any(|block| has_sought[number(block)]);
         let voxels = beside.then(|| box_of(low, high)).into_iter().flatten();
         let found = voxels.filter_map(|voxel| sought.get(&voxel).copied());
         found.filter(move |c| label_of(*c) == label).collect::<Vec<u32>>()
