@@ -257,17 +257,9 @@ impl Clipping {
             mesh.tets.push(tet.map(number));
             mesh.tet_labels.push(*label);
         }
-        mesh.fixed.iter_mut().for_each(|v| *v = number(v.0));
         // A cube that reached a border has lost tets or its shape.
-        mesh.cubes.retain(|cube| {
-            let vertices = [&[cube.center], &cube.corners[..], &cube.apexes[..]].concat();
-            vertices.iter().all(|v| !self.changed[v.index()] && renumbered[v.index()] != NONE)
-        });
-        for cube in &mut mesh.cubes {
-            cube.center = number(cube.center.0);
-            cube.corners = cube.corners.map(|v| number(v.0));
-            cube.apexes = cube.apexes.map(|v| number(v.0));
-        }
+        mesh.cubes.retain(|cube| cube.vertices().all(|v| !self.changed[v.index()]));
+        mesh.renumber_records(&renumbered);
         let count = mesh.points.len();
         mesh.scaffold =
             Scaffold::around(&self.tets, &self.labels, &mut renumbered, count, |v| self.points[v as usize], None);

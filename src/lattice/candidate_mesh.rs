@@ -55,7 +55,29 @@ pub struct MergeableCube {
     pub surface_triangles: u8,
 }
 
+/// The new number of a vertex that is gone.
+pub const GONE: u32 = u32::MAX;
+
+impl MergeableCube {
+    /// Its vertices: the middle, the corners, those across the faces.
+    pub fn vertices(&self) -> impl Iterator<Item = VertexId> {
+        std::iter::once(self.center).chain(self.corners).chain(self.apexes)
+    }
+}
+
 impl CandidateMesh {
+    /// Follows new numbers in what the mesh says of single vertices; a cube that lost a vertex has lost tets too, and goes.
+    pub fn renumber_records(&mut self, new_of: &[u32]) {
+        let number = |v: &mut VertexId| *v = VertexId(new_of[v.index()]);
+        self.fixed.iter_mut().for_each(number);
+        self.cubes.retain(|cube| cube.vertices().all(|v| new_of[v.index()] != GONE));
+        for cube in &mut self.cubes {
+            number(&mut cube.center);
+            cube.corners.iter_mut().for_each(number);
+            cube.apexes.iter_mut().for_each(number);
+        }
+    }
+
     /// Number of elements of all kinds.
     pub fn element_count(&self) -> usize {
         self.tets.len() + self.pyramids.len() + self.hexahedra.len()

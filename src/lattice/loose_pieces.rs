@@ -300,8 +300,8 @@ impl VoxelsInside<'_> {
         let at = |[i, j, k]: [u32; 3]| self.image.at(i as usize, j as usize, k as usize);
         let label = at(voxel);
         let center = |v: [u32; 3]| DVec3::from_array(v.map(f64::from)) * grid.spacing();
-        let box_around = range(2).flat_map(move |k| range(1).flat_map(move |j| range(0).map(move |i| [i, j, k])));
-        box_around.filter(move |v| at(*v) == label && center(*v).distance(center(voxel)) <= reach)
+        let [low, high] = [[0, 1, 2].map(|d| *range(d).start()), [0, 1, 2].map(|d| *range(d).end())];
+        box_of(low, high).filter(move |v| at(*v) == label && center(*v).distance(center(voxel)) <= reach)
     }
 }
 

@@ -3,7 +3,7 @@
 //! # Method
 //! Tets whose shortest edge is less than a share of their longest are listed, the shortest edges first. Each such edge is
 //! contracted to either of its ends, when the changed tets score as high as the wanted score or as the tets before, whichever
-//! is less, and the surfaces allow it ([`contract_edge`]). Where they do not, its ends move apart: an inner one towards the
+//! is less, and the surfaces allow it ([`contract_edge`]). Where they do not, its ends move apart if asked: an inner one towards the
 //! middle of its ball, one on a surface along that, as far as the same scores allow. A few sweeps, after the first only over
 //! tets near those that changed.
 //!

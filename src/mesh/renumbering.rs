@@ -46,6 +46,24 @@ impl Renumbering {
     }
 }
 
+/// Numbers rows by keys of at most `count`, by counting; rows of equal keys keep their order. The keys become the new numbers.
+/// Returns the old number of each new one, and how many keys are less than `count`.
+pub fn number_by_key(keys: &mut [u32], count: usize) -> (Vec<u32>, usize) {
+    let mut starts = vec![0u32; count + 2];
+    keys.iter().for_each(|&key| starts[key as usize + 1] += 1);
+    for place in 0..=count {
+        starts[place + 1] += starts[place];
+    }
+    let less = starts[count] as usize;
+    let mut old_of = vec![0u32; keys.len()];
+    for (old, new) in keys.iter_mut().enumerate() {
+        let next = &mut starts[*new as usize];
+        (old_of[*next as usize], *new) = (old as u32, *next);
+        *next += 1;
+    }
+    (old_of, less)
+}
+
 impl TetComplex {
     /// Renumbers all tets, and the vertices from `first` on.
     ///
@@ -74,22 +92,8 @@ impl TetComplex {
             finite.map(|v| rank[*v as usize]).min().unwrap_or(count as u32)
         };
         let rows = self.halves.get(1..).unwrap_or_default();
-        let keys: Vec<u32> = rows.par_chunks_exact(2).with_min_len(CHUNK).map(key).collect();
-        let mut starts = vec![0u32; count + 2];
-        keys.iter().for_each(|&key| starts[key as usize + 1] += 1);
-        for place in 0..=count {
-            starts[place + 1] += starts[place];
-        }
-        let live = starts[count] as usize;
-        let mut old_of = vec![0u32; slots];
-        // The keys become the new numbers.
-        let mut new_of = keys;
-        for (old, new) in new_of.iter_mut().enumerate() {
-            let next = &mut starts[*new as usize];
-            (old_of[*next as usize], *new) = (old as u32, *next);
-            *next += 1;
-        }
-        drop(starts);
+        let mut new_of: Vec<u32> = rows.par_chunks_exact(2).with_min_len(CHUNK).map(key).collect();
+        let (old_of, live) = number_by_key(&mut new_of, count);
         let moved = |side: u32| match TetFace(side) {
             TetFace::NONE => side,
             side => TetFace::new(TetId::from_index(new_of[side.tet().index()] as usize), side.face()).0,
@@ -101,8 +105,8 @@ impl TetComplex {
             row[1] = self.halves[2 * old as usize + 2].map(moved);
         });
         self.halves = halves;
-        self.tet_flags = gathered(&self.tet_flags, &old_of, |flags| flags);
-        self.tet_labels = gathered(&self.tet_labels, &old_of, |label| label);
+        self.tet_flags = gathered(&self.tet_flags, &old_of);
+        self.tet_labels = gathered(&self.tet_labels, &old_of);
         let known = self.vertex_tet.par_iter_mut().with_min_len(CHUNK).filter(|tet| **tet != TetId::NONE);
         known.for_each(|tet| *tet = TetId::from_index(new_of[tet.index()] as usize));
         self.free_slots.clear();
@@ -116,14 +120,14 @@ impl TetComplex {
         old_of.iter().enumerate().for_each(|(new, &old)| new_of[old as usize] = VertexId::from_index(new));
         let rows = self.halves.get_mut(1..).unwrap_or_default().par_chunks_exact_mut(2).with_min_len(CHUNK);
         rows.for_each(|row| row[0] = row[0].map(|v| if VertexId(v).is_ghost() { v } else { new_of[v as usize].0 }));
-        self.points = gathered(&self.points, old_of, |point| point);
-        self.vertex_tet = gathered(&self.vertex_tet, old_of, |tet| tet);
+        self.points = gathered(&self.points, old_of);
+        self.vertex_tet = gathered(&self.vertex_tet, old_of);
     }
 }
 
 /// Row `i` from row `old_of[i]`.
-fn gathered<T: Copy + Send + Sync>(rows: &[T], old_of: &[u32], change: impl Fn(T) -> T + Sync) -> Vec<T> {
-    old_of.par_iter().with_min_len(CHUNK).map(|&old| change(rows[old as usize])).collect()
+pub fn gathered<T: Copy + Send + Sync>(rows: &[T], old_of: &[u32]) -> Vec<T> {
+    old_of.par_iter().with_min_len(CHUNK).map(|&old| rows[old as usize]).collect()
 }
 
 #[cfg(test)]
