@@ -15,4 +15,5 @@ pub mod simple_voxels;
 pub mod vector_image;
 pub mod voxel_contacts;
 pub mod voxel_image;
+pub mod voxel_index;
 pub mod warp;

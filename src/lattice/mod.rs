@@ -19,10 +19,12 @@
 //! The mesh conforms, its elements are positive, its labels are the caller's. The same bits for any number of threads.
 
 pub mod adaptive_refinement;
+pub mod banded_system;
 pub mod bcc_lattice;
 pub mod border_clipping;
 pub mod boundary_targets;
 pub mod candidate_mesh;
+pub mod centerlines;
 pub mod change_log;
 pub mod chord_splits;
 pub mod duplicated_interfaces;
@@ -72,6 +74,8 @@ mod test_images;
 pub mod topology_differences;
 #[cfg(test)]
 mod topology_tests;
+pub mod tube_fitting;
+pub mod tubular_parts;
 pub mod untangling;
 pub mod vertex_optimization;
 pub mod vertex_order;

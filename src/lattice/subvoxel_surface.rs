@@ -4,7 +4,8 @@
 //! 1. Near a boundary each label has a smooth distance ([`smooth_distance`](crate::lattice::smooth_distance)), positive
 //!    inside. Between two labels it is the mean of theirs, weighted for the one that is no edge or crease there: at a line
 //!    where three labels meet, the one that goes straight on decides. In the half of a thin wall that is nearer to its other
-//!    surface the distances of both labels lead apart; there the one that is farther away is meant.
+//!    surface the distances of both labels lead apart; there the one that is farther away is meant. Where one of them is a vessel
+//!    and the other is not, the vessel's counts alone.
 //! 2. Farther away the indicator of each label is smoothed by a Gaussian of `SIGMA` voxels: the sum over the 6 x 6 x 6 voxels
 //!    around the point. The ratio `(f_a - f_b) / (f_a + f_b)` of a flat interface is an error function of the distance; its
 //!    inverse leads a vertex near enough for step 1.
@@ -213,11 +214,13 @@ impl<'a> SubvoxelSurface<'a> {
         if let Some((distance, _)) = self.near_distance(point, a, b) {
             return Some(distance);
         }
-        let value = |label| self.smooth.sample(label, point / self.spacing, self.size, self.spacing);
+        let has = |label| self.smooth.has(label) && !self.is_beside_tubes(label, [a, b]);
+        let value =
+            |label| has(label).then(|| self.smooth.sample(label, point / self.spacing, self.size, self.spacing))?;
         match (value(a), value(b)) {
             (Some((of_a, _)), Some((of_b, _))) => Some((of_a - of_b) / 2.0 + self.offset(a, b)),
-            (Some((of_a, _)), None) if !self.smooth.has(b) => Some(of_a + self.offset(a, b)),
-            (None, Some((of_b, _))) if !self.smooth.has(a) => Some(self.offset(a, b) - of_b),
+            (Some((of_a, _)), None) if !has(b) => Some(of_a + self.offset(a, b)),
+            (None, Some((of_b, _))) if !has(a) => Some(self.offset(a, b) - of_b),
             _ => self.blurred_distance(point, a, b).map(|(distance, _)| distance),
         }
     }
@@ -228,13 +231,19 @@ impl<'a> SubvoxelSurface<'a> {
         Some((distance.clamp(-LONGEST_DISTANCE, LONGEST_DISTANCE) + self.offset(a, b), normal))
     }
 
+    /// Whether the other label of a pair is a vessel and this one is not: the vessel's distance is that of the surface between
+    /// them, also in the half of a thin wall that is nearer to its other surface.
+    fn is_beside_tubes(&self, label: Label, pair: [Label; 2]) -> bool {
+        !self.smooth.is_tubular(label) && pair.into_iter().any(|other| self.smooth.is_tubular(other))
+    }
+
     /// The distance from the smooth distances of both labels, and the unit normal. A label that is thin or has an edge here
     /// (another label meets the two) has a distance that is rounded off, of a short gradient: it weighs little.
     fn smooth_difference(&self, point: DVec3, a: Label, b: Label) -> Option<(f64, DVec3)> {
         let place = point / self.spacing;
         let mut found: [Option<LabelTerm>; 2] = [None; 2];
         for (slot, (label, sign)) in [(a, 1.0), (b, -1.0)].into_iter().enumerate() {
-            if !self.smooth.has(label) && label.is_background() {
+            if (!self.smooth.has(label) && label.is_background()) || self.is_beside_tubes(label, [a, b]) {
                 continue;
             }
             let (value, gradient) = self.smooth.sample(label, place, self.size, self.spacing)?;
