@@ -109,6 +109,11 @@ impl<'a> SubvoxelSurface<'a> {
         })
     }
 
+    /// Whether any label is a vessel.
+    pub fn has_vessels(&self) -> bool {
+        (0..self.offsets.len()).any(|label| self.smooth.is_tubular(Label(label as u16)))
+    }
+
     /// Millimetres between voxels.
     pub fn spacing(&self) -> DVec3 {
         self.spacing

@@ -40,7 +40,7 @@ const LEAST_SURFACE: f64 = 0.3;
 
 /// Largest share of its box that a solid fills, and the least ratio of the sides of its box where it fills more: trees fill
 /// 0.03 to 0.06, regions of a cortex mostly more than 0.15. Others need not be searched for centerlines.
-const LARGEST_SHARE: f64 = 0.08;
+const LARGEST_SHARE: f64 = 0.12;
 const LEAST_SLENDERNESS: f64 = 3.0;
 
 /// Least number of voxels of a solid: fewer tell no radius.
