@@ -168,10 +168,6 @@ impl Part {
         context: &RunContext,
     ) -> Result<Option<Self>> {
         let solid = solid_of(image, label, band);
-        let tubes = centerlines(&solid, context)?;
-        if !are_vessels(&tubes, &solid) {
-            return Ok(None);
-        }
         let voxels: Vec<[i32; 3]> = band.iter().map(|v| v.map(|x| x as i32)).collect();
         let at = |v: &[u32; 3]| image.at(v[0] as usize, v[1] as usize, v[2] as usize);
         let boundary = BoundaryVoxels {
@@ -180,22 +176,36 @@ impl Part {
             is_inside: band.iter().map(|v| is_in_solid(at(v), label)).collect(),
             spacing: image.grid().spacing(),
         };
-        let mut part = Self { label, boundary, tubes };
-        for (steps, largest) in [FIRST_STEPS, LAST_STEPS].into_iter().zip(LARGEST_WRONG) {
-            fit_tubes(&mut part.tubes, None, &part.boundary, steps, context)?;
-            if part.wrong_voxels(&part.depths()).len() as f64 > largest * band.len() as f64 {
-                return Ok(None);
-            }
+        let mut part = Self { label, boundary, tubes: centerlines(&solid, context)? };
+        let mut loss = None;
+        if are_vessels(&part.tubes, &solid) && part.explain(context)? {
+            loss = Some(part.boundary.loss(&part.tubes));
         }
         if !inner.is_empty() {
-            let mut others = inner.to_vec();
-            others.iter_mut().flat_map(|tube| &mut tube.nodes).for_each(|node| widen(node, &solid));
-            fit_tubes(&mut others, None, &part.boundary, FIRST_STEPS + LAST_STEPS, context)?;
-            if part.boundary.loss(&others) < LARGEST_LOSS * part.boundary.loss(&part.tubes) {
-                part.tubes = others;
+            let own = std::mem::replace(&mut part.tubes, inner.to_vec());
+            part.tubes.iter_mut().flat_map(|tube| &mut tube.nodes).for_each(|node| widen(node, &solid));
+            let is_enough = part.explain(context)?;
+            match loss {
+                Some(of_own) if !is_enough || part.boundary.loss(&part.tubes) > LARGEST_LOSS * of_own => {
+                    part.tubes = own;
+                }
+                None if is_enough => loss = Some(part.boundary.loss(&part.tubes)),
+                _ => {}
             }
         }
-        Ok(Some(part))
+        Ok(loss.map(|_| part))
+    }
+
+    /// Fits the tubes, and tells whether they leave few voxels on the wrong side.
+    fn explain(&mut self, context: &RunContext) -> Result<bool> {
+        for (steps, largest) in [FIRST_STEPS, LAST_STEPS].into_iter().zip(LARGEST_WRONG) {
+            fit_tubes(&mut self.tubes, None, &self.boundary, steps, context)?;
+            let depths = self.depths();
+            if self.wrong_voxels(&depths).len() as f64 > largest * depths.len() as f64 {
+                return Ok(false);
+            }
+        }
+        Ok(true)
     }
 
     /// Whether the tubes have begun as some others.
