@@ -38,8 +38,10 @@ use crate::lattice::tube_fitting::{BoundaryVoxels, fit_tubes};
 /// Least share of a solid's voxels that have another side among their 26 neighbours: 0.44 for a tube of 4.4 voxels radius.
 const LEAST_SURFACE: f64 = 0.3;
 
-/// Largest share of its box that a solid fills, and the least ratio of the sides of its box where it fills more: trees fill
-/// 0.03 to 0.06, regions of a cortex mostly more than 0.15. Others need not be searched for centerlines.
+/// Number of voxels up to which the search for centerlines costs little. Larger solids are searched where they fill no more than
+/// this share of their box, or where its long side has this ratio to the others: trees fill 0.01 to 0.08, regions of a cortex
+/// mostly more than 0.15, and a search of all of an atlas takes a twelfth of its time.
+const SMALL: u64 = 4000;
 const LARGEST_SHARE: f64 = 0.12;
 const LEAST_SLENDERNESS: f64 = 3.0;
 
@@ -100,7 +102,7 @@ pub fn tubular_distances(
     let counts = image.voxel_counts();
     let fit = |label: usize, inner: &[Tube]| {
         let label = Label(label as u16);
-        match may_be_tubular(image, label, &layers[label.index()], &counts) {
+        match may_be_tubular(image, label, &layers[label.index()], &counts, inner) {
             true => Part::fit(image, label, &band(label), inner, context),
             false => Ok(None),
         }
@@ -129,8 +131,8 @@ pub fn tubular_distances(
 }
 
 /// Whether a label, or for the background its complement, may be vessels: `layer` has the voxels next to its boundary, on both
-/// sides.
-fn may_be_tubular(image: &LabelImage, label: Label, layer: &[usize], voxel_counts: &[u64]) -> bool {
+/// sides; `inner` are tubes known to lie within.
+fn may_be_tubular(image: &LabelImage, label: Label, layer: &[usize], voxel_counts: &[u64], inner: &[Tube]) -> bool {
     let total: u64 = match label.is_background() {
         true => voxel_counts[1..].iter().sum(),
         false => voxel_counts[label.index()],
@@ -150,7 +152,8 @@ fn may_be_tubular(image: &LabelImage, label: Label, layer: &[usize], voxel_count
     let [short, middle, long] = sides;
     let is_sparse = (total as f64) < LARGEST_SHARE * short * middle * long;
     let is_long = long > LEAST_SLENDERNESS * (short * middle).sqrt();
-    own as f64 >= LEAST_SURFACE * total as f64 && (is_sparse || is_long)
+    let is_cheap = total <= SMALL || !inner.is_empty();
+    own as f64 >= LEAST_SURFACE * total as f64 && (is_cheap || is_sparse || is_long)
 }
 
 fn is_in_solid(voxel: Label, label: Label) -> bool {
