@@ -129,7 +129,7 @@ const SEARCH_SWEEPS: usize = 2;
 /// quality and the volumes back follow. At the end it moves half as many, and costs a quarter of a per cent of volume.
 const APPROACH_ROUNDS: std::ops::RangeInclusive<usize> = 2..=3;
 
-/// One more such round where labels are vessels: it costs a twentieth of the time, and of 32 places of seven trees of vessels that
+/// One more such round where most labels are vessels: it costs a twentieth of the time, and of 32 places of seven trees of vessels that
 /// are off by more than half a voxel 24 are left.
 const VESSEL_APPROACH_ROUND: usize = 1;
 
@@ -208,7 +208,7 @@ pub fn improve(
     let voxel = clean.image.grid().spacing().min_element();
     let slack = SLACK * voxel;
     let wanted = WANTED.max(options.min_dihedral_angle);
-    let has_vessels = surface.has_vessels();
+    let has_vessels = surface.has_mostly_vessels();
     let mut work = ImprovementMesh::new(mesh, sources, surface);
     work.set_lattice(lattice);
     summary.low_before = low_tets(&work, wanted).len();

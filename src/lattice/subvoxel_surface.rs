@@ -109,9 +109,10 @@ impl<'a> SubvoxelSurface<'a> {
         })
     }
 
-    /// Whether any label is a vessel.
-    pub fn has_vessels(&self) -> bool {
-        (0..self.offsets.len()).any(|label| self.smooth.is_tubular(Label(label as u16)))
+    /// Whether at least half of the labels are vessels, the background around them included.
+    pub fn has_mostly_vessels(&self) -> bool {
+        let vessels = (0..self.offsets.len()).filter(|label| self.smooth.is_tubular(Label(*label as u16))).count();
+        2 * vessels >= self.offsets.len()
     }
 
     /// Millimetres between voxels.
