@@ -7,8 +7,7 @@
 //!    middle between the centres of both sides, neither pulls more. What lacks much counts linearly.
 //! 2. for each tube the squares of the second differences of its axis and of its radius, and the first ones of its radius. All are
 //!    weighed down where they are large ([GemanMcClure1987]): a kink is one place, not a bend of all.
-//! 3. the squared differences of the lengths of its segments from their mean, so that nodes keep their distance.
-//!
+//! 3. the squared differences of the lengths of its segments from their mean, so that nodes keep their distance;
 //! 4. where the tubes have partners, those of the wall around them, the squared distances of their nodes from those of these, weighed
 //!    down where they are large: vessels and their walls are concentric as a rule, and the tip of a thick tube is known better.
 //!
@@ -32,7 +31,7 @@
 //! tube takes its voxels in their order.
 //!
 //! # Cost
-//! Each step visits the voxels within two voxels of each segment. Parallel over chunks of voxels and over tubes.
+//! Each step visits the voxels within three voxels of each segment. Parallel over chunks of voxels and over tubes.
 
 use glam::DVec3;
 use rayon::prelude::*;

@@ -6,8 +6,8 @@
 //!    ([`centerlines`](crate::lattice::centerlines)) are long: the others are no vessels.
 //! 2. Tubes along the centerlines are fitted to the voxels near the boundary ([`tube_fitting`](crate::lattice::tube_fitting)): a few
 //!    steps, and the rest where these explain most voxels. All labels together begin also with the tubes of the labels: walls
-//!    of vessels that lie side by side are one body, their lumens are not. Where that explains more, both are fitted once more,
-//!    as partners.
+//!    of vessels that lie side by side are one body, their lumens are not. Where that explains about as much, both are fitted once
+//!    more, as partners.
 //! 3. The depth in the tubes is the distance to the surface, but for voxels near one that is clearly on its wrong side.
 //!
 //! # Source
@@ -21,8 +21,8 @@
 //! The same bits for any number of threads.
 //!
 //! # Cost
-//! Nothing but a count of voxels for solids that are no vessels; 12 bytes per voxel near the boundary of those that are.
-//! Parallel by solids.
+//! A count of voxels for most solids that are no vessels, centerlines for the small and sparse ones among them. Parallel by
+//! solids, and within the fit.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -85,6 +85,8 @@ struct Part {
     label: Label,
     boundary: BoundaryVoxels,
     tubes: Vec<Tube>,
+    /// Whether the tubes have begun as those of the vessels within, so that these are partners one by one.
+    is_around: bool,
 }
 
 /// For each label that is a vessel the distance of each voxel of its band to its surface, mm, positive inside; not a number where
@@ -111,7 +113,7 @@ pub fn tubular_distances(
     let mut parts: Vec<Part> = labels.filter_map(|label| fit(label, &[]).transpose()).collect::<Result<_>>()?;
     let inner: Vec<Tube> = parts.iter().flat_map(|part| part.tubes.iter().cloned()).collect();
     if let Some(mut outer) = fit(0, &inner)? {
-        if outer.is_around(&inner) {
+        if outer.is_around {
             let tubes = outer.tubes.clone();
             outer.fit_beside(&inner, context)?;
             let mut first = 0;
@@ -161,8 +163,8 @@ fn is_in_solid(voxel: Label, label: Label) -> bool {
 }
 
 impl Part {
-    /// The tubes of a label from its centerlines, or from those of the vessels within it where these explain more; `None`
-    /// where it is no vessel.
+    /// The tubes of a label from its centerlines, or from those of the vessels within it where these explain about as much;
+    /// `None` where it is no vessel.
     fn fit(
         image: &LabelImage,
         label: Label,
@@ -179,24 +181,19 @@ impl Part {
             is_inside: band.iter().map(|v| is_in_solid(at(v), label)).collect(),
             spacing: image.grid().spacing(),
         };
-        let mut part = Self { label, boundary, tubes: centerlines(&solid, context)? };
-        let mut loss = None;
-        if are_vessels(&part.tubes, &solid) && part.explain(context)? {
-            loss = Some(part.boundary.loss(&part.tubes));
+        let mut part = Self { label, boundary, tubes: centerlines(&solid, context)?, is_around: false };
+        let is_vessel = are_vessels(&part.tubes, &solid) && part.explain(context)?;
+        if inner.is_empty() {
+            return Ok(is_vessel.then_some(part));
         }
-        if !inner.is_empty() {
-            let own = std::mem::replace(&mut part.tubes, inner.to_vec());
-            part.tubes.iter_mut().flat_map(|tube| &mut tube.nodes).for_each(|node| widen(node, &solid));
-            let is_enough = part.explain(context)?;
-            match loss {
-                Some(of_own) if !is_enough || part.boundary.loss(&part.tubes) > LARGEST_LOSS * of_own => {
-                    part.tubes = own;
-                }
-                None if is_enough => loss = Some(part.boundary.loss(&part.tubes)),
-                _ => {}
-            }
+        let own = std::mem::replace(&mut part.tubes, inner.to_vec());
+        part.tubes.iter_mut().flat_map(|tube| &mut tube.nodes).for_each(|node| widen(node, &solid));
+        part.is_around = part.explain(context)?
+            && !(is_vessel && part.boundary.loss(&part.tubes) > LARGEST_LOSS * part.boundary.loss(&own));
+        if !part.is_around {
+            part.tubes = own;
         }
-        Ok(loss.map(|_| part))
+        Ok((is_vessel || part.is_around).then_some(part))
     }
 
     /// Fits the tubes, and tells whether they leave few voxels on the wrong side.
@@ -209,12 +206,6 @@ impl Part {
             }
         }
         Ok(true)
-    }
-
-    /// Whether the tubes have begun as some others.
-    fn is_around(&self, inner: &[Tube]) -> bool {
-        let same = |(own, other): (&Tube, &Tube)| own.nodes.len() == other.nodes.len();
-        self.tubes.len() == inner.len() && self.tubes.iter().zip(inner).all(same)
     }
 
     fn fit_beside(&mut self, partners: &[Tube], context: &RunContext) -> Result<()> {
@@ -239,7 +230,7 @@ impl Part {
         if wrong.len() as f64 > LARGEST_WRONG[1] * distances.len() as f64 {
             return None;
         }
-        wrong.into_iter().for_each(|voxel| forget_around(&self.boundary, voxel, &mut distances));
+        forget_around(&self.boundary, &wrong, &mut distances);
         if self.label.is_background() {
             distances.iter_mut().for_each(|d| *d = -*d);
         }
@@ -255,20 +246,13 @@ fn widen(node: &mut TubeNode, solid: &Solid) {
     }
 }
 
-fn forget_around(boundary: &BoundaryVoxels, wrong: usize, distances: &mut [f32]) {
-    let at = boundary.voxels[wrong];
-    let reach = WRONG_REACH * boundary.mean_spacing();
-    let steps = (DVec3::splat(reach) / boundary.spacing).floor().as_ivec3();
-    for k in -steps.z..=steps.z {
-        for j in -steps.y..=steps.y {
-            for i in -steps.x..=steps.x {
-                if (DVec3::new(f64::from(i), f64::from(j), f64::from(k)) * boundary.spacing).length() <= reach
-                    && let Some(near) = boundary.index.get([at[0] + i, at[1] + j, at[2] + k])
-                {
-                    distances[near] = f32::NAN;
-                }
-            }
-        }
+/// Forgets the distances around each wrong voxel.
+fn forget_around(boundary: &BoundaryVoxels, wrong: &[usize], distances: &mut [f32]) {
+    let steps = steps_by_length(boundary.spacing, WRONG_REACH * boundary.mean_spacing());
+    for voxel in wrong {
+        let at = boundary.voxels[*voxel];
+        let beside = steps.iter().filter_map(|(step, _)| boundary.index.get(std::array::from_fn(|d| at[d] + step[d])));
+        std::iter::once(*voxel).chain(beside).for_each(|near| distances[near] = f32::NAN);
     }
 }
 
