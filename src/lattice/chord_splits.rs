@@ -31,6 +31,7 @@ use crate::lattice::element_score::Threshold;
 use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace};
 use crate::lattice::local_transformations::{insert_between, sides_of_edge};
 use crate::lattice::subvoxel_surface::Side;
+use crate::lattice::surface_edge_flips::flip_surface_edge;
 
 /// Parts of the way from the middle to the surface that are tried.
 const WAY: [f64; 5] = [1.0, 0.8, 0.6, 0.4, 0.2];
@@ -57,6 +58,11 @@ pub enum Chord {
 pub fn split_chords(mesh: &mut ImprovementMesh, tolerance: f64, bound: f64) -> usize {
     let far = chords(mesh, tolerance);
     far.into_iter().filter(|(_, chord)| insert_in_chord(mesh, *chord, bound).is_some()).count()
+}
+
+/// Flips a chord that is an edge.
+pub fn flip(mesh: &mut ImprovementMesh, chord: &Chord, bound: f64) -> bool {
+    matches!(*chord, Chord::Edge([a, b]) if flip_surface_edge(mesh, a, b, bound))
 }
 
 /// How far off and vertices of what is to be split, the farthest first.

@@ -34,7 +34,7 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::lattice::boundary_targets::SourcePoints;
 use crate::lattice::candidate_mesh::CandidateMesh;
-use crate::lattice::chord_splits::split_chords;
+use crate::lattice::chord_splits::{chords, flip, split_chords};
 use crate::lattice::element_score::{Ball, Part, Threshold, tet_fails};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::iterated_search::{IteratedSearch, Perturbations, Reach};
@@ -261,6 +261,11 @@ pub fn improve(
         loosen_all(&mut work);
     }
     advance(ROUNDS + 1);
+    if options.transformations == Transformations::Local {
+        work.refresh_stars();
+        let far = chords(&work, CHORD * voxel);
+        summary.counts.chords += far.iter().filter(|(_, chord)| flip(&mut work, chord, wanted)).count();
+    }
     let (searched, left) = search_last(&mut work, options, voxel, &mut summary.counts, context)?;
     summary.searched = searched;
     for _ in 0..options.laplacian_iterations {

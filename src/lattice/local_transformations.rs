@@ -38,7 +38,7 @@ use crate::mesh::numbering::{TET_EDGES, TET_FACES};
 const LEAST_GAIN: f64 = 0.3;
 
 /// Longest ring of an edge removal.
-const LONGEST_RING: usize = 7;
+pub const LONGEST_RING: usize = 7;
 
 /// How far off its surface the middle of an edge or face may be after a contraction or turn, in voxels of the smallest spacing:
 /// a little more than where chords are split, or one would undo the other.
@@ -143,7 +143,7 @@ fn remove_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, at_least: f64) -> boo
 }
 
 /// Whether a new edge between ring vertices that are not neighbours on the ring is an edge already.
-fn creates_known_edge(mesh: &ImprovementMesh, ring: &[u32], new: &[([u32; 4], Label)]) -> bool {
+pub fn creates_known_edge(mesh: &ImprovementMesh, ring: &[u32], new: &[([u32; 4], Label)]) -> bool {
     let n = ring.len();
     let beside = |i: usize, j: usize| (i + 1) % n == j || (j + 1) % n == i;
     for i in 0..n {
@@ -159,7 +159,12 @@ fn creates_known_edge(mesh: &ImprovementMesh, ring: &[u32], new: &[([u32; 4], La
 }
 
 /// [Klincsek1980]: the triangulation of the ring with the highest lowest score, above `needed`.
-fn best_triangulation(mesh: &ImprovementMesh, [a, b]: [u32; 2], ring: &[u32], needed: f64) -> Option<Vec<[usize; 3]>> {
+pub fn best_triangulation(
+    mesh: &ImprovementMesh,
+    [a, b]: [u32; 2],
+    ring: &[u32],
+    needed: f64,
+) -> Option<Vec<[usize; 3]>> {
     let n = ring.len();
     let at = |v: u32| mesh.points[v as usize];
     let mut best = [[f64::INFINITY; LONGEST_RING]; LONGEST_RING];
@@ -342,15 +347,20 @@ fn cuts_off(
     before: impl Iterator<Item = ([u32; 3], [Label; 2])>,
     after: impl Iterator<Item = ([u32; 3], [Label; 2])>,
 ) -> bool {
+    let limit = LARGEST_CUT * mesh.surface.spacing().min_element();
+    let worst = worst_cut(mesh, after);
+    worst > limit && worst > worst_cut(mesh, before)
+}
+
+/// How far off their surface the middles of faces and of their edges are at most, mm; each face with the labels of its sides.
+pub fn worst_cut(mesh: &ImprovementMesh, faces: impl Iterator<Item = ([u32; 3], [Label; 2])>) -> f64 {
     let off = |(corners, sides): ([u32; 3], [Label; 2])| {
         let [a, b, c] = corners.map(|v| mesh.points[v as usize]);
         let middles = [a.midpoint(b), b.midpoint(c), c.midpoint(a), (a + b + c) / 3.0];
         let depth = |middle| mesh.surface.depth(middle, sides[0], sides[1]).map_or(0.0, f64::abs);
         middles.map(depth).into_iter().fold(0.0, f64::max)
     };
-    let limit = LARGEST_CUT * mesh.surface.spacing().min_element();
-    let worst = after.map(off).fold(0.0, f64::max);
-    worst > limit && worst > before.map(off).fold(0.0, f64::max)
+    faces.map(off).fold(0.0, f64::max)
 }
 
 /// Whether a vertex is in the middle of a line where surfaces meet, `to` is next to it, and the line bends little there.

@@ -26,7 +26,7 @@ use rayon::prelude::*;
 
 use crate::error::Result;
 use crate::lattice::change_log::Mark;
-use crate::lattice::chord_splits::{Chord, chords, insert_in_chord, place_first};
+use crate::lattice::chord_splits::{Chord, chords, flip, insert_in_chord, place_first};
 use crate::lattice::element_score::Threshold;
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::iterated_search::{LEAST_PERTURBED, Outcome, vertices_around};
@@ -110,6 +110,13 @@ fn bring_nearer(
     };
     let mut near = vertices_around(mesh, corners);
     let before = Outcome::of(mesh, near.clone(), wanted);
+    if let Place::Between(chord) = &place
+        && flip(mesh, chord, LEAST_PERTURBED)
+    {
+        mend(mesh, &near)?;
+        near.extend(mesh.touched_since(trial));
+        return Ok(Outcome::of(mesh, near, wanted).is_no_worse_than(&before));
+    }
     let found = match place {
         Place::Vertex(v) if mesh.ball(v).is_empty() => None,
         Place::Vertex(v) => surface_of(mesh, v).map(|goal| (v, [mesh.points[v as usize], goal])),

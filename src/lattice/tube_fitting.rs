@@ -116,6 +116,13 @@ pub struct Deepest {
     part: f64,
 }
 
+impl Deepest {
+    /// Number of the segment where those of each tube begin at `first`; 0 where no tube is near.
+    pub fn segment_of_all(&self, first: &[u32]) -> u32 {
+        first.get(self.tube as usize).map_or(0, |first| first + self.segment)
+    }
+}
+
 impl BoundaryVoxels {
     /// Mean of the spacings, mm.
     pub fn mean_spacing(&self) -> f64 {

@@ -80,6 +80,19 @@ const RIM: i32 = 3;
 /// Largest radius that is measured, in mean spacings.
 const LARGEST_RADIUS: f64 = 6.0;
 
+/// The tubes of a label that is a vessel, and the distances of its voxels by these.
+#[derive(Debug, Clone, Default)]
+pub struct TubularDistance {
+    /// Distance of each voxel of the band to the surface, mm, positive inside; not a number where the tubes do not tell.
+    pub distances: Vec<f32>,
+    /// The segment that each voxel of the band is deepest in.
+    pub deepest: Vec<u32>,
+    /// Ends of each segment, and the number of its tube.
+    pub segments: Vec<([TubeNode; 2], u32)>,
+    /// Whether the label is what is outside of the tubes.
+    pub is_outside: bool,
+}
+
 /// A label that may be vessels, or the background around them.
 struct Part {
     label: Label,
@@ -100,7 +113,7 @@ pub fn tubular_distances(
     layers: &[Vec<usize>],
     band: impl Fn(Label) -> Vec<[u32; 3]> + Sync,
     context: &RunContext,
-) -> Result<Vec<Option<Vec<f32>>>> {
+) -> Result<Vec<Option<TubularDistance>>> {
     let counts = image.voxel_counts();
     let fit = |label: usize, inner: &[Tube]| {
         let label = Label(label as u16);
@@ -125,7 +138,7 @@ pub fn tubular_distances(
         }
         parts.push(outer);
     }
-    let mut distances = vec![None; layers.len()];
+    let mut distances: Vec<Option<TubularDistance>> = layers.iter().map(|_| None).collect();
     for part in parts {
         distances[part.label.index()] = part.distances();
     }
@@ -224,17 +237,26 @@ impl Part {
     }
 
     /// The distances of the voxels; `None` where too many are on the wrong side.
-    fn distances(&self) -> Option<Vec<f32>> {
-        let mut distances = self.depths();
+    fn distances(&self) -> Option<TubularDistance> {
+        let found = self.boundary.deepest(&self.tubes);
+        let mut distances: Vec<f32> = found.iter().map(|found| found.depth as f32).collect();
         let wrong = self.wrong_voxels(&distances);
         if wrong.len() as f64 > LARGEST_WRONG[1] * distances.len() as f64 {
             return None;
         }
         forget_around(&self.boundary, &wrong, &mut distances);
-        if self.label.is_background() {
+        let is_outside = self.label.is_background();
+        if is_outside {
             distances.iter_mut().for_each(|d| *d = -*d);
         }
-        Some(distances)
+        let mut segments = Vec::new();
+        let mut first = Vec::new();
+        for (number, tube) in self.tubes.iter().enumerate() {
+            first.push(segments.len() as u32);
+            segments.extend((0..tube.segment_count()).map(|n| (tube.segment(n), number as u32)));
+        }
+        let deepest = found.iter().map(|found| found.segment_of_all(&first)).collect();
+        Some(TubularDistance { distances, deepest, segments, is_outside })
     }
 }
 
@@ -369,7 +391,7 @@ mod tests {
     use crate::lattice::test_images::{spaced_image, voxel_image};
 
     /// Distances of all labels, with all voxels for a band and for layers.
-    fn distances(image: &LabelImage, threads: usize) -> Vec<Option<Vec<f32>>> {
+    fn distances(image: &LabelImage, threads: usize) -> Vec<Option<TubularDistance>> {
         let size = image.grid().size();
         let count = size.iter().product::<usize>();
         let place = |v: usize| [v % size[0], v / size[0] % size[1], v / size[0] / size[1]].map(|x| x as u32);
@@ -398,7 +420,7 @@ mod tests {
         for (label, surface, sign) in [(1, 0.0, -1.0), (0, 1.4, 1.0)] {
             let of_label = found[label].as_ref().expect("a vessel");
             let mut errors = Vec::new();
-            for (v, distance) in of_label.iter().enumerate() {
+            for (v, distance) in of_label.distances.iter().enumerate() {
                 let p = DVec3::new((v % 38) as f64, (v / 38 % 38) as f64, (v / 38 / 38) as f64);
                 let exact = sign * (fork(p) - surface);
                 if exact.abs() < 1.5 && !distance.is_nan() {
@@ -422,7 +444,7 @@ mod tests {
         let of_label = found[1].as_ref().expect("a vessel");
         for v in (0..4800).filter(|v| [0, 11].contains(&(v / 400))) {
             let p = DVec3::new((v % 20) as f64 * 0.9, (v / 20 % 20) as f64 * 0.9, (v / 400) as f64 * 1.8);
-            let error = f64::from(of_label[v]) + off(p);
+            let error = f64::from(of_label.distances[v]) + off(p);
             assert!(off(p).abs() > 1.0 || error.abs() < 0.5, "{p} {error}");
         }
     }

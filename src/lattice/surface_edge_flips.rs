@@ -1,0 +1,103 @@
+//! Flips of surface edges that cut off what bends: the two surface triangles at an edge become those at the other diagonal.
+//!
+//! # Method
+//! An edge a b between two labels has one surface triangle to c and one to d. The tets around it form a ring that c and d part
+//! into two arcs, one per label. Each arc is triangulated anew, closed by c d, as after an edge removal:
+//! ```text
+//!          x   vessel                    x   vessel
+//!        / | \                         /   \
+//!       c--a--d     a above,    ->    c-----d     the surface goes from a b c, a b d
+//!        \ | /      b below            \   /      to c d a, c d b
+//!          y   wall                      y   wall
+//! ```
+//! At a crotch an edge from one vessel to the other bridges the crease; the other diagonal runs along it.
+//!
+//! # Source
+//! [FreitagOllivierGooch1997] for swaps of edges at a boundary, [Klincsek1980] for the triangulation of an arc.
+//!
+//! # Invariants
+//! The mesh conforms, every label keeps its topology: c d is no edge before, or one within the label of its only tet between.
+//! No score falls below the bound that was not below before. The surface is nearer to where it is to be.
+
+use crate::index::Label;
+use crate::lattice::element_score::Part;
+use crate::lattice::improvement_mesh::{ImprovementMesh, part_of};
+use crate::lattice::local_transformations::{LONGEST_RING, best_triangulation, creates_known_edge, worst_cut};
+use crate::lattice::scaffold::SCAFFOLD_ANGLE;
+use crate::lattice::subvoxel_surface::Side;
+
+/// Share of what the surface cuts off that may be left.
+const LEFT: f64 = 0.8;
+
+/// Flips a surface edge where the surface comes nearer and no score falls below `bound`, degrees, that was not below before.
+pub fn flip_surface_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, bound: f64) -> bool {
+    let shell = mesh.shell(a, b);
+    if shell.len() < 3 {
+        return false;
+    }
+    let Some(ring) = mesh.ring(a, b, &shell) else { return false };
+    let Some([first, second]) = arcs(mesh, [a, b], &shell, &ring) else { return false };
+    let [c, d] = [first.vertices[0], second.vertices[0]];
+    let at_border = |v: &u32| mesh.sides(*v).iter().any(|s| matches!(s, Side::Border(_)));
+    if [a, b, c, d].iter().any(at_border) || !may_join(mesh, [c, d], [&first, &second]) {
+        return false;
+    }
+    let labels = [first.label, second.label];
+    let cut = |faces: [[u32; 3]; 2]| worst_cut(mesh, faces.into_iter().map(|corners| (corners, labels)));
+    if cut([[c, d, a], [c, d, b]]) > LEFT * cut([[a, b, c], [a, b, d]]) {
+        return false;
+    }
+    let needed = mesh.lowest(&shell).min(bound);
+    let mut new = Vec::new();
+    for arc in [&first, &second] {
+        let needed = if part_of(arc.label) == Part::Scaffold { needed.min(SCAFFOLD_ANGLE) } else { needed };
+        let Some(triangles) = best_triangulation(mesh, [a, b], &arc.vertices, needed) else { return false };
+        let before = new.len();
+        for triangle in triangles {
+            let [p, q, r] = triangle.map(|i| arc.vertices[i]);
+            new.push(([p, q, r, b], arc.label));
+            new.push(([q, p, r, a], arc.label));
+        }
+        if creates_known_edge(mesh, &arc.vertices, &new[before..]) {
+            return false;
+        }
+    }
+    mesh.replace(&shell, &new);
+    true
+}
+
+/// The vertices around an edge on the side of one label, from one surface triangle to the other.
+struct Arc {
+    label: Label,
+    vertices: Vec<u32>,
+}
+
+/// The two arcs of a ring; `None` where the edge is not between two labels or a ring is too long.
+fn arcs(mesh: &ImprovementMesh, [a, b]: [u32; 2], shell: &[u32], ring: &[u32]) -> Option<[Arc; 2]> {
+    let n = ring.len();
+    // The label of the tet from each vertex of the ring to the next.
+    let label_after = |i: usize| {
+        let has = |t: &&u32| [a, b, ring[i], ring[(i + 1) % n]].iter().all(|v| mesh.tets[**t as usize].contains(v));
+        shell.iter().find(has).map(|t| mesh.labels[*t as usize])
+    };
+    let labels: Vec<Label> = (0..n).map(label_after).collect::<Option<_>>()?;
+    let mut changes = (0..n).filter(|i| labels[*i] != labels[(i + n - 1) % n]);
+    let (Some(from), Some(to), None) = (changes.next(), changes.next(), changes.next()) else { return None };
+    let arc = |from: usize, to: usize| Arc {
+        label: labels[from],
+        vertices: (0..=(to + n - from) % n).map(|step| ring[(from + step) % n]).collect(),
+    };
+    let both = [arc(from, to), arc(to, from)];
+    both.iter().all(|arc| arc.vertices.len() <= LONGEST_RING).then_some(both)
+}
+
+/// Whether the other diagonal may become a surface edge.
+fn may_join(mesh: &ImprovementMesh, [c, d]: [u32; 2], arcs: [&Arc; 2]) -> bool {
+    let between = mesh.shell(c, d);
+    if between.is_empty() {
+        return true;
+    }
+    let only = arcs.into_iter().find(|arc| arc.vertices.len() == 2);
+    only.is_some_and(|arc| between.iter().all(|t| mesh.labels[*t as usize] == arc.label))
+        && !mesh.is_surface_edge(c, d, &between)
+}
