@@ -53,11 +53,20 @@ pub enum Chord {
     Face([u32; 3], [Label; 2]),
 }
 
+/// Where a new vertex may begin.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Start {
+    /// Some of the way from the middle to the surface.
+    Nearer,
+    /// Also in the middle itself.
+    Anywhere,
+}
+
 /// Splits surface edges and faces whose middle is off by more than `tolerance` (mm); `bound` is the score that may be spent,
 /// degrees. The stars of the mesh are up to date. Returns how many were split.
 pub fn split_chords(mesh: &mut ImprovementMesh, tolerance: f64, bound: f64) -> usize {
     let far = chords(mesh, tolerance);
-    far.into_iter().filter(|(_, chord)| insert_in_chord(mesh, *chord, bound).is_some()).count()
+    far.into_iter().filter(|(_, chord)| insert_in_chord(mesh, *chord, bound, Start::Nearer).is_some()).count()
 }
 
 /// Flips a chord that is an edge.
@@ -105,7 +114,12 @@ fn is_in_border(mesh: &ImprovementMesh, [a, b, c]: [u32; 3]) -> bool {
 
 /// Splits a chord by a vertex that goes towards the surface as far as no score falls below the bound that was not below before.
 /// Returns the vertex, the middle where it began, and where it is to go; `None` where the chord stays as it is.
-pub fn insert_in_chord(mesh: &mut ImprovementMesh, chord: Chord, bound: f64) -> Option<(u32, [DVec3; 2])> {
+pub fn insert_in_chord(
+    mesh: &mut ImprovementMesh,
+    chord: Chord,
+    bound: f64,
+    begin: Start,
+) -> Option<(u32, [DVec3; 2])> {
     let (tets, sides, ends) = match chord {
         Chord::Edge([a, b]) => {
             let shell = mesh.shell(a, b);
@@ -131,9 +145,13 @@ pub fn insert_in_chord(mesh: &mut ImprovementMesh, chord: Chord, bound: f64) -> 
             (tets, sides, [middle, goal])
         }
     };
-    let needed = Threshold::of(mesh.lowest(&tets).min(bound));
+    let before = mesh.lowest(&tets);
+    let needed = Threshold::of(before.min(bound));
     let [middle, goal] = ends;
-    let place = |mesh: &mut ImprovementMesh, m| place_first(mesh, m, middle, goal, &needed);
+    let place = |mesh: &mut ImprovementMesh, m: u32| {
+        place_first(mesh, m, middle, goal, &needed)
+            || begin == Start::Anywhere && mesh.lowest(mesh.ball(m)) >= bound.min(before)
+    };
     let is_in = match &chord {
         Chord::Edge(ends) => insert_between(mesh, ends, &tets, middle, sides, place),
         Chord::Face(corners, _) => insert_between(mesh, corners, &tets, middle, sides, place),

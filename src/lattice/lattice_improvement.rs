@@ -244,7 +244,7 @@ pub fn improve(
             };
             let budget = (work.tets.len() / TETS_PER_APPROACH).max(LEAST_APPROACHES);
             summary.approached +=
-                approach_surface(&mut work, FAR.map(|f| f * voxel), effort.wanted, budget, &mut mend)?;
+                approach_surface(&mut work, FAR.map(|f| f * voxel), effort.wanted, 0.5, budget, &mut mend)?;
         }
         if may_transform && round == SHORT_EDGE_ROUND {
             // The next round moves all vertices.
@@ -268,6 +268,23 @@ pub fn improve(
     }
     let (searched, left) = search_last(&mut work, options, voxel, &mut summary.counts, context)?;
     summary.searched = searched;
+    if options.transformations == Transformations::Local && has_vessels {
+        let effort = Effort { wanted, surfaces: Surfaces::MayYield, slack };
+        let mut mend = |work: &mut ImprovementMesh, vertices: &[u32]| {
+            mend_around(work, vertices, &effort, Some(&mut summary.counts), context)
+        };
+        let var = |n: &str, d: f64| std::env::var(n).ok().map_or(d, |v| v.parse().unwrap());
+        for _ in 0..var("MW_N", 1.0) as usize {
+            summary.approached += approach_surface(
+                &mut work,
+                [var("MW_F", 0.3) * voxel, 1.5 * voxel],
+                effort.wanted,
+                var("MW_L", 0.75),
+                500,
+                &mut mend,
+            )?;
+        }
+    }
     for _ in 0..options.laplacian_iterations {
         context.check()?;
         (0..work.points.len() as u32).for_each(|v| {

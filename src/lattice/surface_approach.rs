@@ -26,7 +26,7 @@ use rayon::prelude::*;
 
 use crate::error::Result;
 use crate::lattice::change_log::Mark;
-use crate::lattice::chord_splits::{Chord, chords, flip, insert_in_chord, place_first};
+use crate::lattice::chord_splits::{Chord, Start, chords, flip, insert_in_chord, place_first};
 use crate::lattice::element_score::Threshold;
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::iterated_search::{LEAST_PERTURBED, Outcome, vertices_around};
@@ -35,7 +35,7 @@ use crate::lattice::iterated_search::{LEAST_PERTURBED, Outcome, vertices_around}
 const ADVANCES: usize = 3;
 
 /// Share of the distance that may be left.
-const LEFT: f64 = 0.5;
+pub const LEFT: f64 = 0.5;
 
 /// How far the surface of a vertex is looked for, in largest spacings.
 const REACH: f64 = 2.0;
@@ -56,6 +56,7 @@ pub fn approach_surface(
     mesh: &mut ImprovementMesh,
     range: [f64; 2],
     wanted: f64,
+    left: f64,
     budget: usize,
     mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
 ) -> Result<usize> {
@@ -65,7 +66,7 @@ pub fn approach_surface(
     far.retain(|(off, _)| *off < range[1]);
     for (_, place) in far.into_iter().take(budget) {
         let trial = mesh.begin_trial();
-        if bring_nearer(mesh, place, range[0], wanted, trial, mend)? {
+        if bring_nearer(mesh, place, range[0], wanted, left, trial, mend)? {
             mesh.keep_trial();
             nearer += 1;
         } else {
@@ -100,6 +101,7 @@ fn bring_nearer(
     place: Place,
     tolerance: f64,
     wanted: f64,
+    left: f64,
     trial: Mark,
     mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
 ) -> Result<bool> {
@@ -120,7 +122,7 @@ fn bring_nearer(
     let found = match place {
         Place::Vertex(v) if mesh.ball(v).is_empty() => None,
         Place::Vertex(v) => surface_of(mesh, v).map(|goal| (v, [mesh.points[v as usize], goal])),
-        Place::Between(chord) => insert_in_chord(mesh, chord, LEAST_PERTURBED),
+        Place::Between(chord) => insert_in_chord(mesh, chord, LEAST_PERTURBED, Start::Anywhere),
     };
     let Some((v, [start, goal])) = found else { return Ok(false) };
     let off = goal.distance(start);
@@ -130,15 +132,24 @@ fn bring_nearer(
     }
     near.push(v);
     let needed = Threshold::of(LEAST_PERTURBED);
+    let mut nearest = f64::INFINITY;
     for _ in 0..ADVANCES {
+        let advance = mesh.begin_trial();
         let from = mesh.points[v as usize];
         place_first(mesh, v, from, goal, &needed);
         mend(mesh, &near)?;
-        if mesh.ball(v).is_empty() || goal.distance(mesh.points[v as usize]) < LEFT * tolerance {
+        let now = if mesh.ball(v).is_empty() { f64::INFINITY } else { goal.distance(mesh.points[v as usize]) };
+        if now >= nearest {
+            mesh.take_back(advance);
+            break;
+        }
+        mesh.keep_trial();
+        nearest = now;
+        if now < LEFT * tolerance {
             break;
         }
     }
-    if mesh.ball(v).is_empty() || goal.distance(mesh.points[v as usize]) > LEFT * off {
+    if nearest > left * off {
         return Ok(false);
     }
     near.extend(mesh.touched_since(trial));
