@@ -53,6 +53,16 @@ pub enum Chord {
     Face([u32; 3], [Label; 2]),
 }
 
+impl Chord {
+    /// Its vertices.
+    pub fn corners(&self) -> &[u32] {
+        match self {
+            Self::Edge(ends) => ends,
+            Self::Face(corners, _) => corners,
+        }
+    }
+}
+
 /// Where a new vertex may begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Start {

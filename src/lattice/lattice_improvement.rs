@@ -43,7 +43,7 @@ use crate::lattice::progress_shares;
 use crate::lattice::scaffold::STIFF_SCAFFOLD_ANGLE;
 use crate::lattice::short_edges::{Uncontracted, contract_short_edges};
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
-use crate::lattice::surface_approach::approach_surface;
+use crate::lattice::surface_approach::{ApproachBounds, approach_surface};
 use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::surface_relabelling::relabel_beyond_surface;
 use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
@@ -134,12 +134,22 @@ const APPROACH_ROUNDS: std::ops::RangeInclusive<usize> = 2..=3;
 const VESSEL_APPROACH_ROUND: usize = 1;
 
 /// How far off such places are, in voxels of the smallest spacing: more is no distance, since the surface passes every voxel centre
-/// on its side.
-const FAR: [f64; 2] = [0.2, 1.5];
+/// on its side. In the crease of a crotch it is the way into that.
+const FAR: f64 = 0.2;
+const FARTHEST: f64 = 1.5;
+const VESSEL_FARTHEST: f64 = 3.0;
+
+/// Share of the distance that may be left when such a place has been brought nearer.
+const LEFT: f64 = 0.5;
 
 /// Tets of the mesh for each place that is tried to be brought nearer, and the least number of places.
 const TETS_PER_APPROACH: usize = 5000;
 const LEAST_APPROACHES: usize = 500;
+
+/// At the end of images that are mostly vessels, when quality and volumes stand: how far off a place is then, in voxels of the
+/// smallest spacing, and the share of that which may be left.
+const LAST_FAR: f64 = 0.3;
+const LAST_LEFT: f64 = 0.75;
 
 /// Perturbations that searches may try in one mesh.
 const LARGEST_SEARCH: usize = 20_000;
@@ -243,8 +253,10 @@ pub fn improve(
                 mend_around(work, vertices, &effort, Some(&mut summary.counts), context)
             };
             let budget = (work.tets.len() / TETS_PER_APPROACH).max(LEAST_APPROACHES);
-            summary.approached +=
-                approach_surface(&mut work, FAR.map(|f| f * voxel), effort.wanted, 0.5, budget, &mut mend)?;
+            let farthest = if has_vessels { VESSEL_FARTHEST } else { FARTHEST };
+            let range = [FAR, farthest].map(|f| f * voxel);
+            let bounds = ApproachBounds { range, wanted: effort.wanted, left: LEFT };
+            summary.approached += approach_surface(&mut work, bounds, budget, &mut mend)?;
         }
         if may_transform && round == SHORT_EDGE_ROUND {
             // The next round moves all vertices.
@@ -261,29 +273,20 @@ pub fn improve(
         loosen_all(&mut work);
     }
     advance(ROUNDS + 1);
-    if options.transformations == Transformations::Local {
-        work.refresh_stars();
-        let far = chords(&work, CHORD * voxel);
-        summary.counts.chords += far.iter().filter(|(_, chord)| flip(&mut work, chord, wanted)).count();
-    }
     let (searched, left) = search_last(&mut work, options, voxel, &mut summary.counts, context)?;
     summary.searched = searched;
-    if options.transformations == Transformations::Local && has_vessels {
+    let is_approached = options.transformations == Transformations::Local && has_vessels;
+    if is_approached {
+        work.refresh_stars();
+        let far = chords(&work, CHORD * voxel);
+        summary.counts.turned_edges += far.iter().filter(|(_, chord)| flip(&mut work, chord, wanted)).count();
         let effort = Effort { wanted, surfaces: Surfaces::MayYield, slack };
         let mut mend = |work: &mut ImprovementMesh, vertices: &[u32]| {
             mend_around(work, vertices, &effort, Some(&mut summary.counts), context)
         };
-        let var = |n: &str, d: f64| std::env::var(n).ok().map_or(d, |v| v.parse().unwrap());
-        for _ in 0..var("MW_N", 1.0) as usize {
-            summary.approached += approach_surface(
-                &mut work,
-                [var("MW_F", 0.3) * voxel, 1.5 * voxel],
-                effort.wanted,
-                var("MW_L", 0.75),
-                500,
-                &mut mend,
-            )?;
-        }
+        let range = [LAST_FAR, VESSEL_FARTHEST].map(|f| f * voxel);
+        let bounds = ApproachBounds { range, wanted: effort.wanted, left: LAST_LEFT };
+        summary.approached += approach_surface(&mut work, bounds, LEAST_APPROACHES, &mut mend)?;
     }
     for _ in 0..options.laplacian_iterations {
         context.check()?;
@@ -292,7 +295,7 @@ pub fn improve(
         });
     }
     summary.crossings = count_crossings(&work);
-    let mut low = if options.laplacian_iterations == 0 { left } else { low_tets(&work, wanted) };
+    let mut low = if options.laplacian_iterations == 0 && !is_approached { left } else { low_tets(&work, wanted) };
     low.retain(|(_, t)| work.part(*t) == Part::Mesh);
     summary.low_after = low.len();
     summary.lowest = low.first().map_or(wanted, |(score, _)| *score);

@@ -34,8 +34,8 @@ use crate::lattice::iterated_search::{LEAST_PERTURBED, Outcome, vertices_around}
 /// Times that a vertex goes on after its tets were made better.
 const ADVANCES: usize = 3;
 
-/// Share of the distance that may be left.
-pub const LEFT: f64 = 0.5;
+/// A vertex this near, in tolerances, goes no further.
+const NEAR: f64 = 0.5;
 
 /// How far the surface of a vertex is looked for, in largest spacings.
 const REACH: f64 = 2.0;
@@ -47,33 +47,75 @@ enum Place {
     Between(Chord),
 }
 
-/// Brings the places nearer that are off by more than the first and less than the second of `range` (mm), `budget` of them at most;
-/// tets below `wanted` (degrees) are low, `mend` makes the tets of some vertices better. Returns how many became nearer.
+/// What an approach aims at and may spend.
+#[derive(Debug, Clone, Copy)]
+pub struct ApproachBounds {
+    /// How far off the places are that are tried, mm.
+    pub range: [f64; 2],
+    /// Score below which tets are low, degrees.
+    pub wanted: f64,
+    /// Share of the distance that may be left.
+    pub left: f64,
+}
+
+/// Brings places nearer to their surface, `budget` of them at most; `mend` makes the tets of some vertices better. Returns how
+/// many became nearer.
 ///
 /// # Errors
 /// Those of `mend`.
 pub fn approach_surface(
     mesh: &mut ImprovementMesh,
-    range: [f64; 2],
-    wanted: f64,
-    left: f64,
+    bounds: ApproachBounds,
     budget: usize,
     mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
 ) -> Result<usize> {
+    let ApproachBounds { range, wanted, .. } = bounds;
     let mut nearer = 0;
     mesh.refresh_stars();
     let mut far = far_places(mesh, range[0]);
     far.retain(|(off, _)| *off < range[1]);
     for (_, place) in far.into_iter().take(budget) {
-        let trial = mesh.begin_trial();
-        if bring_nearer(mesh, place, range[0], wanted, left, trial, mend)? {
-            mesh.keep_trial();
-            nearer += 1;
-        } else {
+        for way in [Way::Flip, Way::Move] {
+            let trial = mesh.begin_trial();
+            let is_nearer = match (way, place) {
+                (Way::Flip, Place::Between(chord)) => flip_and_mend(mesh, chord, wanted, trial, mend)?,
+                (Way::Flip, _) => false,
+                (Way::Move, _) => bring_nearer(mesh, place, &bounds, trial, mend)?,
+            };
+            if is_nearer {
+                mesh.keep_trial();
+                nearer += 1;
+                break;
+            }
             mesh.take_back(trial);
         }
     }
     Ok(nearer)
+}
+
+/// What is tried at a place.
+#[derive(Debug, Clone, Copy)]
+enum Way {
+    Flip,
+    Move,
+}
+
+/// Flips a chord that is an edge, and tells whether no tet is worse for it; what was changed stays to be kept or taken back.
+fn flip_and_mend(
+    mesh: &mut ImprovementMesh,
+    chord: Chord,
+    wanted: f64,
+    trial: Mark,
+    mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
+) -> Result<bool> {
+    let mut near = vertices_around(mesh, chord.corners());
+    let before = Outcome::of(mesh, near.clone(), wanted);
+    if !flip(mesh, &chord, LEAST_PERTURBED) {
+        return Ok(false);
+    }
+    mend(mesh, &near)?;
+    near.extend(mesh.touched_since(trial));
+    Ok(Outcome::of(mesh, near, wanted).is_no_worse_than(&before))
 }
 
 /// How far off and what, the farthest first.
@@ -99,26 +141,16 @@ fn surface_of(mesh: &ImprovementMesh, v: u32) -> Option<DVec3> {
 fn bring_nearer(
     mesh: &mut ImprovementMesh,
     place: Place,
-    tolerance: f64,
-    wanted: f64,
-    left: f64,
+    &ApproachBounds { range: [tolerance, _], wanted, left }: &ApproachBounds,
     trial: Mark,
     mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
 ) -> Result<bool> {
     let corners = match &place {
         Place::Vertex(v) => std::slice::from_ref(v),
-        Place::Between(Chord::Edge(ends)) => ends.as_slice(),
-        Place::Between(Chord::Face(corners, _)) => corners.as_slice(),
+        Place::Between(chord) => chord.corners(),
     };
     let mut near = vertices_around(mesh, corners);
     let before = Outcome::of(mesh, near.clone(), wanted);
-    if let Place::Between(chord) = &place
-        && flip(mesh, chord, LEAST_PERTURBED)
-    {
-        mend(mesh, &near)?;
-        near.extend(mesh.touched_since(trial));
-        return Ok(Outcome::of(mesh, near, wanted).is_no_worse_than(&before));
-    }
     let found = match place {
         Place::Vertex(v) if mesh.ball(v).is_empty() => None,
         Place::Vertex(v) => surface_of(mesh, v).map(|goal| (v, [mesh.points[v as usize], goal])),
@@ -145,7 +177,7 @@ fn bring_nearer(
         }
         mesh.keep_trial();
         nearest = now;
-        if now < LEFT * tolerance {
+        if now < NEAR * tolerance {
             break;
         }
     }

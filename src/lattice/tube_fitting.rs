@@ -11,6 +11,9 @@
 //! 4. where the tubes have partners, those of the wall around them, the squared distances of their nodes from those of these, weighed
 //!    down where they are large: vessels and their walls are concentric as a rule, and the tip of a thick tube is known better.
 //!
+//! 5. for an end of a tube that lies within another tube the squared distance from the axis of that, and what its radius is larger:
+//!    inside of the other tube no voxel tells where it is, and it would bulge out to serve single voxels.
+//!
 //! A voxel belongs to the segment that it is deepest in; each tube has its own banded system, solved by [`BandedSystem`].
 //! ```text
 //!      o  o   o  o  o              o  o   o  o  o
@@ -63,6 +66,11 @@ const RADIUS_KINK: f64 = 0.1;
 /// spacings.
 const PARTNERSHIP: f64 = 3.0;
 const PARTED: f64 = 0.3;
+
+/// Weight of the distance of an end from the axis of the tube that it begins in, and of what its radius is larger than there. On 16
+/// vessel trees, with the creases of tubes told exactly, 25 places of the mesh are off by more than half a voxel without, 17 with
+/// this, 21 with 20.
+const JOINT: f64 = 3.0;
 
 /// Damping of a step: where tubes overlap, others than these are as good.
 const DAMPING: f64 = 1.0;
@@ -216,10 +224,12 @@ pub fn fit_tubes(
                 of_tube[found.tube as usize].push(voxel);
             }
         }
+        let joints: Vec<[Option<TubeNode>; 2]> = (0..tubes.len()).map(|number| joints_of(tubes, number)).collect();
         let step = |(number, (tube, own)): (usize, (&mut Tube, &Vec<usize>))| {
             let mut system = BandedSystem::new(UNKNOWNS * tube.nodes.len());
             own.iter().for_each(|voxel| add_voxel(&mut system, tube, voxels, *voxel, &deepest[*voxel]));
             add_shape(&mut system, tube, voxels.mean_spacing());
+            add_joints(&mut system, tube, &joints[number], voxels.mean_spacing());
             if let Some(partners) = partners {
                 add_partner(&mut system, tube, &partners[number], voxels.mean_spacing());
             }
@@ -291,6 +301,42 @@ fn add_shape(system: &mut BandedSystem, tube: &Tube, unit: f64) {
         system.add(&row, EVENNESS, mean - way.length());
     }
     (0..UNKNOWNS * nodes.len()).for_each(|unknown| system.add(&[(unknown, 1.0)], DAMPING, 0.0));
+}
+
+/// For each end of a tube the place on the axis of the tube that it begins in, and the radius there.
+fn joints_of(tubes: &[Tube], number: usize) -> [Option<TubeNode>; 2] {
+    let nodes = &tubes[number].nodes;
+    if nodes.len() < 2 {
+        return [None; 2];
+    }
+    [nodes[0], nodes[nodes.len() - 1]].map(|end| {
+        let mut deepest: Option<(f64, TubeNode)> = None;
+        for other in tubes.iter().enumerate().filter(|(n, _)| *n != number).map(|(_, tube)| tube) {
+            for segment in 0..other.segment_count() {
+                let ends = other.segment(segment);
+                let (depth, part) = depth_in_segment(end.center, &ends);
+                if depth > 0.0 && deepest.is_none_or(|(known, _)| depth > known) {
+                    let [a, b] = ends;
+                    let center = a.center.lerp(b.center, part);
+                    deepest = Some((depth, TubeNode { center, radius: a.radius + part * (b.radius - a.radius) }));
+                }
+            }
+        }
+        deepest.map(|(_, node)| node)
+    })
+}
+
+/// The distances of the ends from their joints, and the radii that are larger than there.
+fn add_joints(system: &mut BandedSystem, tube: &Tube, joints: &[Option<TubeNode>; 2], unit: f64) {
+    for (n, joint) in [0, tube.nodes.len() - 1].into_iter().zip(joints) {
+        let Some(joint) = joint else { continue };
+        let gap = (joint.center - tube.nodes[n].center) / unit;
+        (0..3).for_each(|d| system.add(&[(UNKNOWNS * n + d, 1.0)], JOINT, gap[d]));
+        let wider = (tube.nodes[n].radius - joint.radius) / unit;
+        if wider > 0.0 {
+            system.add(&[(UNKNOWNS * n + 3, 1.0)], JOINT, -wider);
+        }
+    }
 }
 
 /// The distances of the nodes from those of a partner.
