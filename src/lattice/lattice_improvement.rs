@@ -11,7 +11,9 @@
 //!
 //! Edges much shorter than those around them are contracted in between and then ([`short_edges`](crate::lattice::short_edges));
 //! in two rounds surface edges and faces are split that cut off what bends ([`chord_splits`](crate::lattice::chord_splits)), in a third
-//! one what still is far off its surface is brought nearer ([`surface_approach`](crate::lattice::surface_approach)).
+//! one what still is far off its surface is brought nearer ([`surface_approach`](crate::lattice::surface_approach)); where labels are
+//! vessels also at the end, after surface edges that bridge a crease were flipped
+//! ([`surface_edge_flips`](crate::lattice::surface_edge_flips)).
 //! Vertices and tets are renumbered along a curve first, and again after most splits ([`vertex_order`](crate::lattice::vertex_order)).
 //! Around tets that are low after all that, the mesh is searched through worse ones, and surface vertices may stay off their
 //! surface by a little more each time ([`iterated_search`](crate::lattice::iterated_search)).
@@ -43,7 +45,7 @@ use crate::lattice::progress_shares;
 use crate::lattice::scaffold::STIFF_SCAFFOLD_ANGLE;
 use crate::lattice::short_edges::{Uncontracted, contract_short_edges};
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
-use crate::lattice::surface_approach::{ApproachBounds, approach_surface};
+use crate::lattice::surface_approach::{ApproachBounds, Around, approach_surface};
 use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::surface_relabelling::relabel_beyond_surface;
 use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
@@ -146,10 +148,11 @@ const LEFT: f64 = 0.5;
 const TETS_PER_APPROACH: usize = 5000;
 const LEAST_APPROACHES: usize = 500;
 
-/// At the end of images that are mostly vessels, when quality and volumes stand: how far off a place is then, in voxels of the
-/// smallest spacing, and the share of that which may be left.
-const LAST_FAR: f64 = 0.3;
-const LAST_LEFT: f64 = 0.75;
+/// Approaches at the end of images that are mostly vessels, when quality and volumes stand, and the share of a distance that may
+/// be left then: every bit counts where nothing around comes off its surface for it. On 28 trees the largest distance is 0.53 voxel
+/// in the mean with these, 0.54 with one of a share of 0.75 that does not look around.
+const LAST_APPROACHES: usize = 2;
+const LAST_LEFT: f64 = 0.9;
 
 /// Perturbations that searches may try in one mesh.
 const LARGEST_SEARCH: usize = 20_000;
@@ -255,7 +258,7 @@ pub fn improve(
             let budget = (work.tets.len() / TETS_PER_APPROACH).max(LEAST_APPROACHES);
             let farthest = if has_vessels { VESSEL_FARTHEST } else { FARTHEST };
             let range = [FAR, farthest].map(|f| f * voxel);
-            let bounds = ApproachBounds { range, wanted: effort.wanted, left: LEFT };
+            let bounds = ApproachBounds { range, wanted: effort.wanted, left: LEFT, around: Around::MayYield };
             summary.approached += approach_surface(&mut work, bounds, budget, &mut mend)?;
         }
         if may_transform && round == SHORT_EDGE_ROUND {
@@ -284,9 +287,11 @@ pub fn improve(
         let mut mend = |work: &mut ImprovementMesh, vertices: &[u32]| {
             mend_around(work, vertices, &effort, Some(&mut summary.counts), context)
         };
-        let range = [LAST_FAR, VESSEL_FARTHEST].map(|f| f * voxel);
-        let bounds = ApproachBounds { range, wanted: effort.wanted, left: LAST_LEFT };
-        summary.approached += approach_surface(&mut work, bounds, LEAST_APPROACHES, &mut mend)?;
+        let range = [FAR, VESSEL_FARTHEST].map(|f| f * voxel);
+        let bounds = ApproachBounds { range, wanted: effort.wanted, left: LAST_LEFT, around: Around::Holds };
+        for _ in 0..LAST_APPROACHES {
+            summary.approached += approach_surface(&mut work, bounds, LEAST_APPROACHES, &mut mend)?;
+        }
     }
     for _ in 0..options.laplacian_iterations {
         context.check()?;

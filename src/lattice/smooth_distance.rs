@@ -12,6 +12,9 @@
 //! 4. Where a label is vessels, tubes fitted to all of their voxels give the distance
 //!    ([`tubular_parts`](crate::lattice::tubular_parts)), within the bounds; the other voxels are worked on beside these.
 //! 5. The values become coefficients of a quadratic B-spline, stored by blocks of 4 x 4 x 4 voxels, evaluated anywhere.
+//! 6. A spline rounds off the crease between two tubes, by a quarter of a voxel and more. Near one the tubes themselves tell the
+//!    distance, with a spline for what the bounds of the voxels changed; its direction stays that of the rounded spline, which leads
+//!    into the crease.
 //! ```text
 //!   voxels of an oblique plane        the surface with the least bending that separates the centres
 //!     . . . . . . o o o                  . . . . . . o o o
@@ -61,7 +64,9 @@ const VARIATION_STEPS: usize = 30;
 /// of 0.044, 0.050, 0.059 voxel on a ball.
 const MARGIN: f64 = 0.12;
 
-/// How much deeper a place is in one tube than in the next, in mean spacings, for the crease between them to be far.
+/// How much deeper a place is in one tube than in the next, in mean spacings, for the crease between them to be far. Of 16 trees of
+/// vessels the mesh has 26 places off by more than half a voxel with it, 33 with the spline alone or with the tubes everywhere, which
+/// are less well known at tips.
 const CREASE: f64 = 1.5;
 
 /// Work per task.

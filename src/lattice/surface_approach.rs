@@ -5,11 +5,12 @@
 //! tip of a vessel the vertices of the wall beyond it. Places that are off by more than a tolerance are gone through, the
 //! farthest first: surface vertices, and edges and faces of the surface by their middles
 //! ([`chord_splits`](crate::lattice::chord_splits)).
-//! 1. An edge or face gets a new vertex in its middle.
+//! 1. An edge is flipped where that brings the surface nearer ([`surface_edge_flips`](crate::lattice::surface_edge_flips)), and the
+//!    tets around are made better by the means of the improvement; else it gets a new vertex in its middle, as a face does.
 //! 2. The vertex goes towards the surface, as long as no tet becomes flat, whatever that costs; the tets around are made better
-//!    by the means of the improvement. This is repeated a few times: what stood before it has moved.
-//! 3. When no more tets are low then, the lowest is no lower and the vertex is nearer by half, it stays; else everything is
-//!    taken back.
+//!    again. This is repeated as long as it comes nearer, a few times: what stood before it has moved.
+//! 3. When no more tets are low then, the lowest is no lower, the vertex is nearer by a share and, at the end, nothing around has
+//!    come off its surface by as much, it stays; else everything is taken back.
 //!
 //! # Source
 //! [LourencoMartinStutzle2003], with the distance for the objective.
@@ -30,6 +31,7 @@ use crate::lattice::chord_splits::{Chord, Start, chords, flip, insert_in_chord, 
 use crate::lattice::element_score::Threshold;
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::iterated_search::{LEAST_PERTURBED, Outcome, vertices_around};
+use crate::lattice::local_transformations::worst_cut;
 
 /// Times that a vertex goes on after its tets were made better.
 const ADVANCES: usize = 3;
@@ -56,6 +58,17 @@ pub struct ApproachBounds {
     pub wanted: f64,
     /// Share of the distance that may be left.
     pub left: f64,
+    /// Whether what is around may come off its surface by as much.
+    pub around: Around,
+}
+
+/// What may happen around a place that comes nearer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Around {
+    /// Later rounds bring back what comes off its surface.
+    MayYield,
+    /// Nothing comes off by as much as the place was.
+    Holds,
 }
 
 /// Brings places nearer to their surface, `budget` of them at most; `mend` makes the tets of some vertices better. Returns how
@@ -69,7 +82,7 @@ pub fn approach_surface(
     budget: usize,
     mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
 ) -> Result<usize> {
-    let ApproachBounds { range, wanted, .. } = bounds;
+    let range = bounds.range;
     let mut nearer = 0;
     mesh.refresh_stars();
     let mut far = far_places(mesh, range[0]);
@@ -78,7 +91,7 @@ pub fn approach_surface(
         for way in [Way::Flip, Way::Move] {
             let trial = mesh.begin_trial();
             let is_nearer = match (way, place) {
-                (Way::Flip, Place::Between(chord)) => flip_and_mend(mesh, chord, wanted, trial, mend)?,
+                (Way::Flip, Place::Between(chord)) => flip_and_mend(mesh, chord, &bounds, trial, mend)?,
                 (Way::Flip, _) => false,
                 (Way::Move, _) => bring_nearer(mesh, place, &bounds, trial, mend)?,
             };
@@ -104,18 +117,37 @@ enum Way {
 fn flip_and_mend(
     mesh: &mut ImprovementMesh,
     chord: Chord,
-    wanted: f64,
+    &ApproachBounds { wanted, around, .. }: &ApproachBounds,
     trial: Mark,
     mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
 ) -> Result<bool> {
     let mut near = vertices_around(mesh, chord.corners());
     let before = Outcome::of(mesh, near.clone(), wanted);
+    let off_before = farthest_around(mesh, &near, around);
     if !flip(mesh, &chord, LEAST_PERTURBED) {
         return Ok(false);
     }
     mend(mesh, &near)?;
     near.extend(mesh.touched_since(trial));
-    Ok(Outcome::of(mesh, near, wanted).is_no_worse_than(&before))
+    Ok(farthest_around(mesh, &near, around) <= off_before && Outcome::of(mesh, near, wanted).is_no_worse_than(&before))
+}
+
+/// How far off their surface the surface faces at some vertices are at most, and these vertices, mm; 0 where that does not matter.
+fn farthest_around(mesh: &ImprovementMesh, vertices: &[u32], around: Around) -> f64 {
+    if around == Around::MayYield {
+        return 0.0;
+    }
+    let of_vertex = |v: &u32| {
+        let faces = mesh.surface_faces(*v);
+        let with_labels = faces.iter().map(|f| ([*v, f.others[0], f.others[1]], mesh.labels_beside(f)));
+        let own = faces.first().and_then(|f| {
+            let [inner, outer] = mesh.labels_beside(f);
+            mesh.surface.depth(mesh.points[*v as usize], inner, outer)
+        });
+        worst_cut(mesh, with_labels).max(own.map_or(0.0, f64::abs))
+    };
+    let on_surface = |v: &&u32| mesh.is_on_surface(**v) && !mesh.ball(**v).is_empty();
+    vertices.iter().filter(on_surface).map(of_vertex).fold(0.0, f64::max)
 }
 
 /// How far off and what, the farthest first.
@@ -141,7 +173,7 @@ fn surface_of(mesh: &ImprovementMesh, v: u32) -> Option<DVec3> {
 fn bring_nearer(
     mesh: &mut ImprovementMesh,
     place: Place,
-    &ApproachBounds { range: [tolerance, _], wanted, left }: &ApproachBounds,
+    &ApproachBounds { range: [tolerance, _], wanted, left, around }: &ApproachBounds,
     trial: Mark,
     mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
 ) -> Result<bool> {
@@ -151,6 +183,7 @@ fn bring_nearer(
     };
     let mut near = vertices_around(mesh, corners);
     let before = Outcome::of(mesh, near.clone(), wanted);
+    let off_before = farthest_around(mesh, &near, around);
     let found = match place {
         Place::Vertex(v) if mesh.ball(v).is_empty() => None,
         Place::Vertex(v) => surface_of(mesh, v).map(|goal| (v, [mesh.points[v as usize], goal])),
@@ -185,7 +218,7 @@ fn bring_nearer(
         return Ok(false);
     }
     near.extend(mesh.touched_since(trial));
-    Ok(Outcome::of(mesh, near, wanted).is_no_worse_than(&before))
+    Ok(farthest_around(mesh, &near, around) <= off_before && Outcome::of(mesh, near, wanted).is_no_worse_than(&before))
 }
 
 #[cfg(test)]

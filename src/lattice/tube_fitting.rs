@@ -423,6 +423,22 @@ mod tests {
     }
 
     #[test]
+    fn an_end_within_another_tube_comes_to_its_axis_and_is_no_wider() {
+        let trunk = tube(&[([8.0, 8.0, 2.0], 2.0), ([8.0, 8.0, 9.0], 2.0), ([8.0, 8.0, 16.0], 2.0)]);
+        let branch = tube(&[([16.0, 8.0, 9.0], 1.5), ([12.0, 8.0, 9.0], 1.5), ([7.0, 8.6, 9.0], 2.6)]);
+        // One voxel, deep enough within the trunk to pull nothing.
+        let deep = vec![[8, 8, 4]];
+        let voxels =
+            BoundaryVoxels { index: VoxelIndex::new(&deep), is_inside: vec![true], voxels: deep, spacing: DVec3::ONE };
+        let mut tubes = [trunk.clone(), branch];
+        fit_tubes(&mut tubes, None, &voxels, 40, &RunContext::with_threads(1).unwrap()).unwrap();
+        let [.., tip, end] = &tubes[1].nodes[..] else { panic!("three nodes") };
+        let off_axis = (end.center - DVec3::new(8.0, 8.0, end.center.z)).length();
+        assert!(off_axis < 0.3 && end.radius < 2.3, "{end:?}");
+        assert!(tip.center.x > 10.0 && tubes[0].nodes[0].center.distance(trunk.nodes[0].center) < 0.5);
+    }
+
+    #[test]
     fn voxels_far_from_all_tubes_lack_no_more_than_a_bound() {
         let tubes = [tube(&[([3.0, 3.0, 3.0], 1.5)])];
         let voxels = boundary(40, DVec3::ONE, |p| p.distance(DVec3::splat(30.0)) < 1.2);
