@@ -45,7 +45,7 @@ use crate::lattice::progress_shares;
 use crate::lattice::scaffold::STIFF_SCAFFOLD_ANGLE;
 use crate::lattice::short_edges::{Uncontracted, contract_short_edges};
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
-use crate::lattice::surface_approach::{ApproachBounds, Around, approach_surface};
+use crate::lattice::surface_approach::{ApproachBounds, Around, Ways, approach_surface};
 use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::surface_relabelling::relabel_beyond_surface;
 use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
@@ -256,9 +256,9 @@ pub fn improve(
                 mend_around(work, vertices, &effort, Some(&mut summary.counts), context)
             };
             let budget = (work.tets.len() / TETS_PER_APPROACH).max(LEAST_APPROACHES);
-            let farthest = if has_vessels { VESSEL_FARTHEST } else { FARTHEST };
+            let (farthest, ways) = if has_vessels { (VESSEL_FARTHEST, Ways::All) } else { (FARTHEST, Ways::Moves) };
             let range = [FAR, farthest].map(|f| f * voxel);
-            let bounds = ApproachBounds { range, wanted: effort.wanted, left: LEFT, around: Around::MayYield };
+            let bounds = ApproachBounds { range, wanted: effort.wanted, left: LEFT, around: Around::MayYield, ways };
             summary.approached += approach_surface(&mut work, bounds, budget, &mut mend)?;
         }
         if may_transform && round == SHORT_EDGE_ROUND {
@@ -288,7 +288,8 @@ pub fn improve(
             mend_around(work, vertices, &effort, Some(&mut summary.counts), context)
         };
         let range = [FAR, VESSEL_FARTHEST].map(|f| f * voxel);
-        let bounds = ApproachBounds { range, wanted: effort.wanted, left: LAST_LEFT, around: Around::Holds };
+        let bounds =
+            ApproachBounds { range, wanted: effort.wanted, left: LAST_LEFT, around: Around::Holds, ways: Ways::All };
         for _ in 0..LAST_APPROACHES {
             summary.approached += approach_surface(&mut work, bounds, LEAST_APPROACHES, &mut mend)?;
         }
