@@ -83,6 +83,13 @@ pub struct TubeNode {
     pub radius: f64,
 }
 
+impl TubeNode {
+    /// The node a part of the way, 0 to 1, to another one.
+    pub fn lerp(&self, to: &Self, part: f64) -> Self {
+        Self { center: self.center.lerp(to.center, part), radius: self.radius + part * (to.radius - self.radius) }
+    }
+}
+
 /// What balls sweep over that go from node to node, their radii changing linearly.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Tube {

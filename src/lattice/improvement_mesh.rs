@@ -478,6 +478,12 @@ impl<'a> ImprovementMesh<'a> {
         }
     }
 
+    /// Puts an inner vertex that lies between two labels now on the surface that `like` is on.
+    pub fn join_surface(&mut self, v: u32, like: u32) {
+        debug_assert!(!self.log.is_open());
+        self.side_set[v as usize] = self.side_set[like as usize];
+    }
+
     fn take_from_balls(&mut self, t: u32) {
         for v in std::mem::replace(&mut self.tets[t as usize], DEAD) {
             self.stars.invalidate(v);

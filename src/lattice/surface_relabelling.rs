@@ -36,6 +36,8 @@ use crate::lattice::subvoxel_surface::Side;
 /// Times that the neighbours of what changed are looked at: tets of a wall lie a few deep.
 const PASSES: usize = 4;
 
+const NEARER: f64 = 1.0;
+
 /// Tets per parallel work item.
 const CHUNK: usize = 4096;
 
@@ -48,8 +50,12 @@ pub fn relabel_beyond_surface(mesh: &mut ImprovementMesh, tolerance: f64) -> usi
         beyond.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
         let mut around = Vec::new();
         for (_, t) in beyond {
-            if let Some(label) = label_beyond(mesh, t) {
+            if let Some((label, inner)) = label_beyond(mesh, t) {
+                let tet = mesh.tets[t as usize];
                 mesh.relabel(t, label);
+                if let Some(corner) = inner {
+                    mesh.join_surface(tet[corner], tet[(corner + 1) % 4]);
+                }
                 changed += 1;
                 around.extend(mesh.tets[t as usize]);
             }
@@ -63,33 +69,53 @@ pub fn relabel_beyond_surface(mesh: &mut ImprovementMesh, tolerance: f64) -> usi
     changed
 }
 
-/// The labels that meet at all vertices of a tet whose vertices lie on the surface between two labels: its own, the other.
-fn labels_of(mesh: &ImprovementMesh, t: u32) -> Option<[Label; 2]> {
+/// A tet that may go to the other side of the surface between two labels.
+struct Between {
+    own: Label,
+    other: Label,
+    /// The corner that is inside of the own label, where one is; the others lie on the surface.
+    inner: Option<usize>,
+}
+
+/// How a tet lies at a surface; `None` where not all of its vertices but one lie on the surface between two labels.
+fn labels_of(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
     if !mesh.is_live(t) {
         return None;
     }
-    let [first, rest @ ..] = mesh.tets[t as usize];
-    let [Side::Label(a), Side::Label(b)] = *mesh.sides(first) else { return None };
-    if !rest.iter().all(|v| mesh.sides(*v) == mesh.sides(first)) {
-        return None;
-    }
+    let tet = mesh.tets[t as usize];
     let own = mesh.labels[t as usize];
+    let mut inner = None;
+    let mut sides: Option<&[Side]> = None;
+    for (corner, v) in tet.into_iter().enumerate() {
+        if !mesh.is_on_surface(v) {
+            let is_free = !mesh.fixed[v as usize] && mesh.part(t) == Part::Mesh;
+            if inner.replace(corner).is_some() || !is_free {
+                return None;
+            }
+        } else if *sides.get_or_insert(mesh.sides(v)) != mesh.sides(v) {
+            return None;
+        }
+    }
+    let [Side::Label(a), Side::Label(b)] = *sides? else { return None };
     let other = if own == a { b } else { a };
-    (own == a || own == b).then_some([own, other])
+    (own == a || own == b).then_some(Between { own, other, inner })
 }
 
 /// How far the middle of a tet lies beyond its surface, mm, where that is more than `tolerance`.
 fn depth_beyond(mesh: &ImprovementMesh, t: u32, tolerance: f64) -> Option<f64> {
-    let [own, other] = labels_of(mesh, t)?;
+    let Between { own, other, inner } = labels_of(mesh, t)?;
     let middle = mesh.corners(t).into_iter().sum::<DVec3>() / 4.0;
     // Only the scaffold may have inverted tets.
     let is_sound = || mesh.part(t) == Part::Mesh || tet_score(mesh.corners(t)) > 0.0;
-    mesh.surface.depth(middle, other, own).filter(|depth| *depth > tolerance && is_sound())
+    let depth = mesh.surface.depth(middle, other, own).filter(|depth| *depth > tolerance && is_sound())?;
+    let comes_nearer =
+        |corner: usize| mesh.surface.depth(mesh.corners(t)[corner], other, own).is_some_and(|at| at > -NEARER * depth);
+    inner.is_none_or(comes_nearer).then_some(depth)
 }
 
 /// The label that a tet may take without a change of topology.
-fn label_beyond(mesh: &ImprovementMesh, t: u32) -> Option<Label> {
-    let [own, other] = labels_of(mesh, t)?;
+fn label_beyond(mesh: &ImprovementMesh, t: u32) -> Option<(Label, Option<usize>)> {
+    let Between { own, other, inner } = labels_of(mesh, t)?;
     let tet = mesh.tets[t as usize];
     // Whether another tet of a label has all of some vertices.
     let touches = |vertices: &[u32], label: Label| {
@@ -107,6 +133,8 @@ fn label_beyond(mesh: &ImprovementMesh, t: u32) -> Option<Label> {
     }
     let [a, b, c, d] = tet;
     let keeps = match *towards {
+        // A new vertex of the surface.
+        [face] => inner == Some(face),
         // The other faces share the edge between the corners opposite to these, these the edge between the other two.
         [one, two] => {
             let ends = [tet[one], tet[two]];
@@ -120,7 +148,7 @@ fn label_beyond(mesh: &ImprovementMesh, t: u32) -> Option<Label> {
         }
         _ => false,
     };
-    keeps.then_some(other)
+    keeps.then_some((other, inner))
 }
 
 #[cfg(test)]
