@@ -47,7 +47,7 @@ use crate::lattice::short_edges::{Uncontracted, contract_short_edges};
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
 use crate::lattice::surface_approach::{ApproachBounds, Around, Ways, approach_surface};
 use crate::lattice::surface_crossings::count_crossings;
-use crate::lattice::surface_relabelling::relabel_beyond_surface;
+use crate::lattice::surface_relabelling::{RelabellingBounds, relabel_beyond_surface};
 use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
 use crate::lattice::volume_offsets::update_offsets;
 use crate::lattice::voxel_cleanup::CleanImage;
@@ -231,6 +231,7 @@ pub fn improve(
     let slack = SLACK * voxel;
     let wanted = WANTED.max(options.min_dihedral_angle);
     let has_vessels = surface.has_mostly_vessels();
+    let beyond = RelabellingBounds { tolerance: BEYOND * voxel, one_inside: has_vessels, least_score: 0.0 };
     let mut work = ImprovementMesh::new(mesh, sources, surface);
     work.set_lattice(lattice);
     summary.low_before = low_tets(&work, wanted).len();
@@ -251,7 +252,7 @@ pub fn improve(
             loosen_all(&mut work);
         }
         if may_transform && RELABELLING_ROUNDS.contains(&round) {
-            summary.relabelled += relabel_beyond_surface(&mut work, BEYOND * voxel);
+            summary.relabelled += relabel_beyond_surface(&mut work, &beyond);
         }
         if may_transform && CHORD_ROUNDS.contains(&round) {
             work.refresh_stars();
@@ -293,7 +294,7 @@ pub fn improve(
     let is_approached = options.transformations == Transformations::Local && has_vessels;
     if is_approached {
         // Vertices are where they are to be, so that what is still beyond is seen.
-        summary.relabelled += relabel_beyond_surface(&mut work, BEYOND * voxel);
+        summary.relabelled += relabel_beyond_surface(&mut work, &RelabellingBounds { least_score: wanted, ..beyond });
         work.refresh_stars();
         let far = chords(&work, CHORD * voxel);
         summary.counts.turned_edges += far.iter().filter(|(_, chord)| flip(&mut work, chord, wanted)).count();

@@ -7,7 +7,9 @@
 //! 2. It takes the other label where it touches that label in two or three of its faces and nothing else, and its own in the
 //!    rest of its faces and nothing else: the surface goes over the tet from one side to the other and stays of one piece,
 //!    without holes, and no edge or vertex is pinched.
-//! 3. What this uncovers is looked at again, until nothing is beyond.
+//! 3. So does a tet with one vertex inside of its label, which lies beyond or about on the surface too, where it touches the other
+//!    label in the face opposite: the vertex becomes one of the surface. Tongues of a wall across a vessel go so.
+//! 4. What this uncovers is looked at again, until nothing is beyond.
 //! ```text
 //!     wall    wall                      wall    wall
 //!     -----p-------q-----               -----p-------q-----
@@ -23,7 +25,7 @@
 //! No two labels touch that did not; every label keeps its pieces, holes and cavities. Points and tets stay as they are.
 //!
 //! # Cost
-//! One distance per tet whose vertices all lie on one surface, in parallel; the changes are few.
+//! One distance per tet whose vertices all lie on one surface, but one perhaps, in parallel; the changes are few.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -36,23 +38,35 @@ use crate::lattice::subvoxel_surface::Side;
 /// Times that the neighbours of what changed are looked at: tets of a wall lie a few deep.
 const PASSES: usize = 4;
 
+/// How far its inner vertex may lie on the tet's own side, in what its middle lies beyond: the surface comes nearer all the same.
 const NEARER: f64 = 1.0;
 
 /// Tets per parallel work item.
 const CHUNK: usize = 4096;
 
-/// Gives the other label to tets that lie beyond their surface by more than `tolerance`, mm. Returns how many.
-pub fn relabel_beyond_surface(mesh: &mut ImprovementMesh, tolerance: f64) -> usize {
+/// Which tets go to the other side.
+#[derive(Debug, Clone, Copy)]
+pub struct RelabellingBounds {
+    /// By how much their middles lie beyond the surface at least, mm.
+    pub tolerance: f64,
+    /// Whether a tet with one vertex inside may go: for vessels, whose surfaces are known well.
+    pub one_inside: bool,
+    /// Score above which a tet of the scaffold may become one of the mesh, degrees.
+    pub least_score: f64,
+}
+
+/// Gives the other label to tets that lie beyond their surface. Returns how many.
+pub fn relabel_beyond_surface(mesh: &mut ImprovementMesh, bounds: &RelabellingBounds) -> usize {
     let mut changed = 0;
     let all = (0..mesh.tets.len() as u32).into_par_iter().with_min_len(CHUNK);
-    let mut beyond: Vec<(f64, u32)> = all.filter_map(|t| Some((depth_beyond(mesh, t, tolerance)?, t))).collect();
+    let mut beyond: Vec<(f64, u32)> = all.filter_map(|t| Some((depth_beyond(mesh, t, bounds)?, t))).collect();
     for _ in 0..PASSES {
         beyond.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
         let mut around = Vec::new();
         for (_, t) in beyond {
-            if let Some((label, inner)) = label_beyond(mesh, t) {
+            if let Some(Between { other, inner, .. }) = may_go_over(mesh, t) {
                 let tet = mesh.tets[t as usize];
-                mesh.relabel(t, label);
+                mesh.relabel(t, other);
                 if let Some(corner) = inner {
                     mesh.join_surface(tet[corner], tet[(corner + 1) % 4]);
                 }
@@ -60,8 +74,7 @@ pub fn relabel_beyond_surface(mesh: &mut ImprovementMesh, tolerance: f64) -> usi
                 around.extend(mesh.tets[t as usize]);
             }
         }
-        beyond =
-            mesh.tets_of(around).into_iter().filter_map(|t| Some((depth_beyond(mesh, t, tolerance)?, t))).collect();
+        beyond = mesh.tets_of(around).into_iter().filter_map(|t| Some((depth_beyond(mesh, t, bounds)?, t))).collect();
         if beyond.is_empty() {
             break;
         }
@@ -70,6 +83,7 @@ pub fn relabel_beyond_surface(mesh: &mut ImprovementMesh, tolerance: f64) -> usi
 }
 
 /// A tet that may go to the other side of the surface between two labels.
+#[derive(Debug, Clone, Copy)]
 struct Between {
     own: Label,
     other: Label,
@@ -77,7 +91,7 @@ struct Between {
     inner: Option<usize>,
 }
 
-/// How a tet lies at a surface; `None` where not all of its vertices but one lie on the surface between two labels.
+/// How a tet lies at a surface; `None` where more than one of its vertices does not lie on that between two labels.
 fn labels_of(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
     if !mesh.is_live(t) {
         return None;
@@ -101,21 +115,25 @@ fn labels_of(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
     (own == a || own == b).then_some(Between { own, other, inner })
 }
 
-/// How far the middle of a tet lies beyond its surface, mm, where that is more than `tolerance`.
-fn depth_beyond(mesh: &ImprovementMesh, t: u32, tolerance: f64) -> Option<f64> {
+/// How far the middle of a tet lies beyond its surface, mm, where that is more than asked.
+fn depth_beyond(mesh: &ImprovementMesh, t: u32, bounds: &RelabellingBounds) -> Option<f64> {
     let Between { own, other, inner } = labels_of(mesh, t)?;
+    if inner.is_some() && !bounds.one_inside {
+        return None;
+    }
     let middle = mesh.corners(t).into_iter().sum::<DVec3>() / 4.0;
-    // Only the scaffold may have inverted tets.
-    let is_sound = || mesh.part(t) == Part::Mesh || tet_score(mesh.corners(t)) > 0.0;
-    let depth = mesh.surface.depth(middle, other, own).filter(|depth| *depth > tolerance && is_sound())?;
+    // Only the scaffold may have inverted tets, and low ones.
+    let is_sound = || mesh.part(t) == Part::Mesh || tet_score(mesh.corners(t)) > bounds.least_score;
+    let depth = mesh.surface.depth(middle, other, own).filter(|depth| *depth > bounds.tolerance && is_sound())?;
     let comes_nearer =
         |corner: usize| mesh.surface.depth(mesh.corners(t)[corner], other, own).is_some_and(|at| at > -NEARER * depth);
     inner.is_none_or(comes_nearer).then_some(depth)
 }
 
-/// The label that a tet may take without a change of topology.
-fn label_beyond(mesh: &ImprovementMesh, t: u32) -> Option<(Label, Option<usize>)> {
-    let Between { own, other, inner } = labels_of(mesh, t)?;
+/// A tet that may take the other label without a change of topology.
+fn may_go_over(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
+    let between = labels_of(mesh, t)?;
+    let Between { own, other, inner } = between;
     let tet = mesh.tets[t as usize];
     // Whether another tet of a label has all of some vertices.
     let touches = |vertices: &[u32], label: Label| {
@@ -148,7 +166,7 @@ fn label_beyond(mesh: &ImprovementMesh, t: u32) -> Option<(Label, Option<usize>)
         }
         _ => false,
     };
-    keeps.then_some((other, inner))
+    keeps.then_some(between)
 }
 
 #[cfg(test)]
@@ -168,6 +186,8 @@ mod tests {
 
     /// The tet in the middle of [`with_inner_tet`].
     const INNER: u32 = 14;
+
+    const ALL: RelabellingBounds = RelabellingBounds { tolerance: 0.0, one_inside: true, least_score: 0.0 };
 
     /// Works on a tet of label 1 with the corners 0 to 3 in a larger one with the corners 4 to 7, turned against it: each set
     /// of inner corners makes a tet with the outer ones of the others. Those of `sets` have label 2, the rest 1; the middle lies
@@ -199,8 +219,8 @@ mod tests {
     fn a_tet_beyond_its_surface_changes_sides_only_where_topology_stays() {
         let label = |sets: &[usize]| {
             with_inner_tet(sets, |mesh| {
-                assert!((depth_beyond(&mesh, INNER, 0.0).unwrap() - 0.8).abs() < 0.1);
-                label_beyond(&mesh, INNER)
+                assert!((depth_beyond(&mesh, INNER, &ALL).unwrap() - 0.8).abs() < 0.1);
+                may_go_over(&mesh, INNER).map(|between| between.other)
             })
         };
         // Label 2 behind the faces opposite to the corners 0 and 1 and around the edge 2 3 between them.
@@ -215,6 +235,22 @@ mod tests {
         // A piece of label 1 of its own would be lost; a face and the corner 0 would join two parts of label 2.
         assert_eq!(label(&[0b1110, 0b1101, 0b1011, 0b0111]), None);
         assert_eq!(label(&[0b1110, 0b0001]), None);
+    }
+
+    #[test]
+    fn a_tet_goes_with_its_vertex_inside_which_the_surface_then_has() {
+        with_inner_tet(&[0b1110], |mut mesh| {
+            assert!(!mesh.is_on_surface(0) && mesh.is_on_surface(1));
+            assert_eq!(depth_beyond(&mesh, INNER, &RelabellingBounds { one_inside: false, ..ALL }), None);
+            assert!(relabel_beyond_surface(&mut mesh, &ALL) > 0);
+            assert_eq!(mesh.labels[INNER as usize], Label(2));
+            assert!((0..4).all(|v| mesh.ball(v).iter().all(|t| mesh.labels[*t as usize] == Label(2)) != mesh.is_on_surface(v)));
+        });
+        // The corner is held.
+        with_inner_tet(&[0b1110], |mut mesh| {
+            mesh.fixed[0] = true;
+            assert_eq!(may_go_over(&mesh, INNER).map(|between| between.other), None);
+        });
     }
 
     #[test]
