@@ -4,7 +4,8 @@
 //! 1. For each face between two labels, its middle and those of its edges are compared with the sub-voxel surface of these
 //!    labels. Edges whose middle is off by more than a tolerance are listed, and faces whose middle is farther off than those
 //!    of their edges, the farthest off first.
-//! 2. Each is split; the new vertex goes from the middle towards the surface as far as the scores around it allow
+//!    Edges of vessels are looked at in their quarters too, for creases.
+//! 2. Each is split; the new vertex goes from the place towards the surface as far as the scores around it allow
 //!    ([`insert_between`]). Later rounds of the improvement bring it the rest of the way. The surface is met
 //!    across the face: a flat end of a vessel has its middle on the axis, where all of the wall is equally near.
 //! ```text
@@ -44,11 +45,23 @@ const REACH: f64 = 0.75;
 const STEPS_ACROSS: usize = 8;
 const STEP_ACROSS: f64 = 0.25;
 
+/// Where an edge is also looked at a quarter of it from its ends, how far off its middle is, in tolerances, and how much farther, in
+/// what the middle is off, such a place is for the edge to be split there.
+const LEAST_MIDDLE: f64 = 0.5;
+const CLEARLY: f64 = 1.2;
+
+/// Where edges are looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Places {
+    Middles,
+    Quarters,
+}
+
 /// What is split, by its vertices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Chord {
-    /// Its ends.
-    Edge([u32; 2]),
+    /// Its ends, and how many quarters of it lie before the place that is looked at.
+    Edge([u32; 2], u8),
     /// In outward order, and the labels of both sides.
     Face([u32; 3], [Label; 2]),
 }
@@ -57,7 +70,7 @@ impl Chord {
     /// Its vertices.
     pub fn corners(&self) -> &[u32] {
         match self {
-            Self::Edge(ends) => ends,
+            Self::Edge(ends, _) => ends,
             Self::Face(corners, _) => corners,
         }
     }
@@ -81,14 +94,15 @@ pub fn split_chords(mesh: &mut ImprovementMesh, tolerance: f64, bound: f64) -> u
 
 /// Flips a chord that is an edge.
 pub fn flip(mesh: &mut ImprovementMesh, chord: &Chord, bound: f64) -> bool {
-    matches!(*chord, Chord::Edge([a, b]) if flip_surface_edge(mesh, a, b, bound))
+    matches!(*chord, Chord::Edge([a, b], _) if flip_surface_edge(mesh, a, b, bound))
 }
 
 /// How far off and vertices of what is to be split, the farthest first.
 pub fn chords(mesh: &ImprovementMesh, tolerance: f64) -> Vec<(f64, Chord)> {
+    let places = if mesh.surface.has_mostly_vessels() { Places::Quarters } else { Places::Middles };
     let of_vertex = |v: u32| {
         let star = mesh.stars().of(v).unwrap_or(&[]);
-        star.iter().flat_map(move |face| of_face(mesh, v, face, tolerance)).flatten()
+        star.iter().flat_map(move |face| of_face(mesh, v, face, tolerance, places)).flatten()
     };
     let vertices = (0..mesh.points.len() as u32).into_par_iter().with_min_len(1024);
     let mut far: Vec<(f64, Chord)> = vertices.flat_map_iter(of_vertex).collect();
@@ -100,14 +114,29 @@ pub fn chords(mesh: &ImprovementMesh, tolerance: f64) -> Vec<(f64, Chord)> {
 
 /// The chords that are listed at one vertex of a face: the edge that begins there, at its smaller vertex, and the face, at its
 /// smallest, each with how far off its middle is, where that is more than `tolerance`.
-fn of_face(mesh: &ImprovementMesh, v: u32, face: &SurfaceFace, tolerance: f64) -> [Option<(f64, Chord)>; 2] {
+fn of_face(
+    mesh: &ImprovementMesh,
+    v: u32,
+    face: &SurfaceFace,
+    tolerance: f64,
+    places: Places,
+) -> [Option<(f64, Chord)>; 2] {
     let sides = mesh.labels_beside(face);
     let [w, u] = face.others;
     let at = |v: u32| mesh.points[v as usize];
     let off = |middle: DVec3| mesh.surface.depth(middle, sides[0], sides[1]).map(f64::abs);
     let edge = |v: u32, w: u32| off(at(v).midpoint(at(w)));
     let is_far = |off: &f64| *off > tolerance;
-    let along = (w > v).then(|| edge(v, w)).flatten().filter(is_far).map(|off| (off, Chord::Edge([v, w])));
+    let along = (w > v).then(|| {
+        let middle = (edge(v, w)?, 2);
+        // A crease has no middle: an edge of a vessel may cross one anywhere.
+        let is_asked = places == Places::Quarters && middle.0 > LEAST_MIDDLE * tolerance;
+        let quarters: &[u8] = if is_asked { &[1, 3] } else { &[] };
+        let at_quarter = |quarter: &u8| Some((off(at(v).lerp(at(w), f64::from(*quarter) / 4.0))?, *quarter));
+        let beside = quarters.iter().filter_map(at_quarter).filter(|(far, _)| *far > CLEARLY * middle.0);
+        let (far, quarter) = beside.fold(middle, |l, r| if r.0 > l.0 { r } else { l });
+        is_far(&far).then_some((far, Chord::Edge([v, w], quarter)))
+    });
     // Where all vertices are on a border plane the face lies in it.
     let across = (w > v && u > v && !is_in_border(mesh, [v, w, u])).then(|| {
         // The edges are measured for the few faces that are far off: this is asked of every face of the mesh.
@@ -115,7 +144,7 @@ fn of_face(mesh: &ImprovementMesh, v: u32, face: &SurfaceFace, tolerance: f64) -
         let is_farthest = [[v, w], [w, u], [u, v]].iter().all(|[p, q]| edge(*p, *q).is_none_or(|off| off < middle));
         is_farthest.then_some((middle, Chord::Face([v, w, u], sides)))
     });
-    [along, across.flatten()]
+    [along.flatten(), across.flatten()]
 }
 
 fn is_in_border(mesh: &ImprovementMesh, [a, b, c]: [u32; 3]) -> bool {
@@ -123,7 +152,7 @@ fn is_in_border(mesh: &ImprovementMesh, [a, b, c]: [u32; 3]) -> bool {
 }
 
 /// Splits a chord by a vertex that goes towards the surface as far as no score falls below the bound that was not below before.
-/// Returns the vertex, the middle where it began, and where it is to go; `None` where the chord stays as it is.
+/// Returns the vertex, the place where it began, and where it is to go; `None` where the chord stays as it is.
 pub fn insert_in_chord(
     mesh: &mut ImprovementMesh,
     chord: Chord,
@@ -131,14 +160,14 @@ pub fn insert_in_chord(
     begin: Start,
 ) -> Option<(u32, [DVec3; 2])> {
     let (tets, sides, ends) = match chord {
-        Chord::Edge([a, b]) => {
+        Chord::Edge([a, b], quarters) => {
             let shell = mesh.shell(a, b);
             if shell.is_empty() {
                 return None; // Another split has taken it.
             }
             let sides = sides_of_edge(mesh, a, b, &shell);
             let [from, to] = [a, b].map(|v| mesh.points[v as usize]);
-            let middle = from.midpoint(to);
+            let middle = from.lerp(to, f64::from(quarters) / 4.0);
             let goal = mesh.surface.project(middle, &sides, REACH * from.distance(to))?;
             (shell, sides, [middle, goal])
         }
@@ -163,7 +192,7 @@ pub fn insert_in_chord(
             || begin == Start::Anywhere && mesh.lowest(mesh.ball(m)) >= bound.min(before)
     };
     let is_in = match &chord {
-        Chord::Edge(ends) => insert_between(mesh, ends, &tets, middle, sides, place),
+        Chord::Edge(ends, _) => insert_between(mesh, ends, &tets, middle, sides, place),
         Chord::Face(corners, _) => insert_between(mesh, corners, &tets, middle, sides, place),
     };
     is_in.then(|| (mesh.points.len() as u32 - 1, ends))
