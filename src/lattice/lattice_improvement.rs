@@ -49,7 +49,7 @@ use crate::lattice::surface_approach::{ApproachBounds, Around, Ways, approach_su
 use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::surface_relabelling::{RelabellingBounds, relabel_beyond_surface};
 use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
-use crate::lattice::volume_offsets::update_offsets;
+use crate::lattice::volume_offsets::{move_by_offsets, update_offsets};
 use crate::lattice::voxel_cleanup::CleanImage;
 
 /// Score that relaxation may spend in each round, degrees. The first rounds bring vertices onto their surface although tets
@@ -162,6 +162,10 @@ const LEAST_APPROACHES: usize = 500;
 /// in the mean with these, 0.54 with one of a share of 0.75 that does not look around.
 const LAST_APPROACHES: usize = 2;
 const LAST_LEFT: f64 = 0.9;
+
+/// Steps that bring the volumes back after that: what comes nearer in a crotch is volume of the vessel. On 13 trees up to 0.69 %
+/// are off without.
+const VOLUME_STEPS: usize = 3;
 
 /// Perturbations that searches may try in one mesh.
 const LARGEST_SEARCH: usize = 20_000;
@@ -307,6 +311,9 @@ pub fn improve(
             ApproachBounds { range, wanted: effort.wanted, left: LAST_LEFT, around: Around::Holds, ways: Ways::All };
         for _ in 0..LAST_APPROACHES {
             summary.approached += approach_surface(&mut work, bounds, LEAST_APPROACHES, &mut mend)?;
+        }
+        for _ in 0..VOLUME_STEPS {
+            move_by_offsets(&mut work, &clean.volumes, LARGEST_OFFSET * voxel, wanted);
         }
     }
     for _ in 0..options.laplacian_iterations {
