@@ -76,7 +76,7 @@ pub mod topology_differences;
 #[cfg(test)]
 mod topology_tests;
 pub mod tube_fitting;
-mod tube_joints;
+pub mod tube_joints;
 pub mod tubular_parts;
 pub mod untangling;
 pub mod vertex_optimization;
