@@ -151,6 +151,31 @@ fn is_in_border(mesh: &ImprovementMesh, [a, b, c]: [u32; 3]) -> bool {
     mesh.sides(a).iter().any(|s| matches!(s, Side::Border(_)) && mesh.sides(b).contains(s) && mesh.sides(c).contains(s))
 }
 
+/// What an edge cuts off.
+pub struct CutOff {
+    /// The tets around the edge.
+    pub shell: Vec<u32>,
+    /// What meets in the edge.
+    pub sides: Vec<Side>,
+    /// A place on the edge.
+    pub place: DVec3,
+    /// Where the surface is that it belongs to.
+    pub goal: DVec3,
+}
+
+/// What an edge cuts off at some quarters of it; `None` where the edge is no more, or no surface is near.
+pub fn cut_of_edge(mesh: &ImprovementMesh, [a, b]: [u32; 2], quarters: u8) -> Option<CutOff> {
+    let shell = mesh.shell(a, b);
+    if shell.is_empty() {
+        return None; // Another split has taken it.
+    }
+    let sides = sides_of_edge(mesh, a, b, &shell);
+    let [from, to] = [a, b].map(|v| mesh.points[v as usize]);
+    let place = from.lerp(to, f64::from(quarters) / 4.0);
+    let goal = mesh.surface.project(place, &sides, REACH * from.distance(to))?;
+    Some(CutOff { shell, sides, place, goal })
+}
+
 /// Splits a chord by a vertex that goes towards the surface as far as no score falls below the bound that was not below before.
 /// Returns the vertex, the place where it began, and where it is to go; `None` where the chord stays as it is.
 pub fn insert_in_chord(
@@ -160,16 +185,9 @@ pub fn insert_in_chord(
     begin: Start,
 ) -> Option<(u32, [DVec3; 2])> {
     let (tets, sides, ends) = match chord {
-        Chord::Edge([a, b], quarters) => {
-            let shell = mesh.shell(a, b);
-            if shell.is_empty() {
-                return None; // Another split has taken it.
-            }
-            let sides = sides_of_edge(mesh, a, b, &shell);
-            let [from, to] = [a, b].map(|v| mesh.points[v as usize]);
-            let middle = from.lerp(to, f64::from(quarters) / 4.0);
-            let goal = mesh.surface.project(middle, &sides, REACH * from.distance(to))?;
-            (shell, sides, [middle, goal])
+        Chord::Edge(ends, quarters) => {
+            let CutOff { shell, sides, place, goal } = cut_of_edge(mesh, ends, quarters)?;
+            (shell, sides, [place, goal])
         }
         Chord::Face(corners, labels) => {
             let tets = mesh.tets_at_face(corners);

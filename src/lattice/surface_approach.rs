@@ -6,7 +6,8 @@
 //! farthest first: surface vertices, and edges and faces of the surface by their middles
 //! ([`chord_splits`](crate::lattice::chord_splits)).
 //! 1. An edge is flipped where that brings the surface nearer ([`surface_edge_flips`](crate::lattice::surface_edge_flips)), and the
-//!    tets around are made better by the means of the improvement; else it gets a new vertex in its middle, as a face does.
+//!    tets around are made better by the means of the improvement; else it gets a new vertex in its middle, as a face does; else
+//!    one of its ends moves along the surface to where it cuts that off.
 //! 2. The vertex goes towards the surface, as long as no tet becomes flat, whatever that costs; the tets around are made better
 //!    again. This is repeated as long as it comes nearer, a few times: what stood before it has moved.
 //! 3. When no more tets are low then, the lowest is no lower, the vertex is nearer by a share and, at the end, nothing around has
@@ -27,7 +28,7 @@ use rayon::prelude::*;
 
 use crate::error::Result;
 use crate::lattice::change_log::Mark;
-use crate::lattice::chord_splits::{Chord, Start, chords, flip, insert_in_chord, place_first};
+use crate::lattice::chord_splits::{Chord, Start, chords, cut_of_edge, flip, insert_in_chord, place_first};
 use crate::lattice::element_score::Threshold;
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::iterated_search::{LEAST_PERTURBED, Outcome, vertices_around};
@@ -47,6 +48,16 @@ const REACH: f64 = 2.0;
 enum Place {
     Vertex(u32),
     Between(Chord),
+}
+
+impl Place {
+    /// Its vertices.
+    fn corners(&self) -> &[u32] {
+        match self {
+            Self::Vertex(v) => std::slice::from_ref(v),
+            Self::Between(chord) => chord.corners(),
+        }
+    }
 }
 
 /// What an approach aims at and may spend.
@@ -100,16 +111,10 @@ pub fn approach_surface(
     let mut far = far_places(mesh, range[0]);
     far.retain(|(off, _)| *off < range[1]);
     for (_, place) in far.into_iter().take(budget) {
-        for way in [Way::Flip, Way::Move] {
+        let ways = if bounds.ways == Ways::All { &ALL_WAYS[..] } else { &[Way::Move] };
+        for way in ways {
             let trial = mesh.begin_trial();
-            let is_nearer = match (way, place) {
-                (Way::Flip, Place::Between(chord)) if bounds.ways == Ways::All => {
-                    flip_and_mend(mesh, chord, &bounds, trial, mend)?
-                }
-                (Way::Flip, _) => false,
-                (Way::Move, _) => bring_nearer(mesh, place, &bounds, trial, mend)?,
-            };
-            if is_nearer {
+            if try_way(mesh, *way, place, &bounds, trial, mend)? {
                 mesh.keep_trial();
                 nearer += 1;
                 break;
@@ -125,25 +130,61 @@ pub fn approach_surface(
 enum Way {
     Flip,
     Move,
+    /// The first or second end of an edge moves to where the surface is that the edge cuts off.
+    Slide(usize),
 }
 
-/// Flips a chord that is an edge, and tells whether no tet is worse for it; what was changed stays to be kept or taken back.
-fn flip_and_mend(
+/// All ways, in the order in which they are tried.
+const ALL_WAYS: [Way; 4] = [Way::Flip, Way::Move, Way::Slide(0), Way::Slide(1)];
+
+/// Whether a place is nearer after a way was tried and nothing around it is worse; what was changed since `trial` stays to be kept or
+/// taken back.
+fn try_way(
     mesh: &mut ImprovementMesh,
-    chord: Chord,
-    &ApproachBounds { wanted, around, .. }: &ApproachBounds,
+    way: Way,
+    place: Place,
+    bounds: &ApproachBounds,
     trial: Mark,
     mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
 ) -> Result<bool> {
-    let mut near = vertices_around(mesh, chord.corners());
-    let before = Outcome::of(mesh, near.clone(), wanted);
-    let off_before = farthest_around(mesh, &near, around);
-    if !flip(mesh, &chord, LEAST_PERTURBED) {
-        return Ok(false);
+    let before = State::of(mesh, vertices_around(mesh, place.corners()), bounds);
+    let is_nearer = match (way, place) {
+        (Way::Flip, Place::Between(chord)) => {
+            let is_flipped = flip(mesh, &chord, LEAST_PERTURBED);
+            if is_flipped {
+                mend(mesh, &before.near)?;
+            }
+            is_flipped
+        }
+        (Way::Slide(end), Place::Between(Chord::Edge(ends, quarters))) => {
+            slide(mesh, (ends, quarters), end, bounds, &before.near, mend)?
+        }
+        (Way::Flip | Way::Slide(_), _) => false,
+        (Way::Move, _) => bring_nearer(mesh, place, bounds, &before.near, mend)?,
+    };
+    Ok(is_nearer && before.is_kept(mesh, trial, bounds))
+}
+
+/// What is around a place before something is tried.
+struct State {
+    near: Vec<u32>,
+    outcome: Outcome,
+    off: f64,
+}
+
+impl State {
+    fn of(mesh: &ImprovementMesh, near: Vec<u32>, bounds: &ApproachBounds) -> Self {
+        let off = farthest_around(mesh, &near, bounds.around);
+        Self { outcome: Outcome::of(mesh, near.clone(), bounds.wanted), off, near }
     }
-    mend(mesh, &near)?;
-    near.extend(mesh.touched_since(trial));
-    Ok(farthest_around(mesh, &near, around) <= off_before && Outcome::of(mesh, near, wanted).is_no_worse_than(&before))
+
+    /// Whether what is around now, also all that was touched since `trial`, is no worse.
+    fn is_kept(self, mesh: &ImprovementMesh, trial: Mark, bounds: &ApproachBounds) -> bool {
+        let mut near = self.near;
+        near.extend(mesh.touched_since(trial));
+        let after = Self::of(mesh, near, bounds);
+        after.off <= self.off && after.outcome.is_no_worse_than(&self.outcome)
+    }
 }
 
 /// How far off their surface the surface faces at some vertices are at most, and these vertices, mm; 0 where that does not matter.
@@ -183,21 +224,14 @@ fn surface_of(mesh: &ImprovementMesh, v: u32) -> Option<DVec3> {
     mesh.surface.project(mesh.points[v as usize], mesh.sides(v), REACH * mesh.surface.spacing().max_element())
 }
 
-/// Whether a place is nearer now and no tet worse for it; what was changed since `trial` stays to be kept or taken back.
+/// Whether a vertex of a place has come nearer, a new one where it is a chord.
 fn bring_nearer(
     mesh: &mut ImprovementMesh,
     place: Place,
-    &ApproachBounds { range: [tolerance, _], wanted, left, around, ways }: &ApproachBounds,
-    trial: Mark,
+    &ApproachBounds { range: [tolerance, _], left, ways, .. }: &ApproachBounds,
+    near: &[u32],
     mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
 ) -> Result<bool> {
-    let corners = match &place {
-        Place::Vertex(v) => std::slice::from_ref(v),
-        Place::Between(chord) => chord.corners(),
-    };
-    let mut near = vertices_around(mesh, corners);
-    let before = Outcome::of(mesh, near.clone(), wanted);
-    let off_before = farthest_around(mesh, &near, around);
     let start = if ways == Ways::All { Start::Anywhere } else { Start::Nearer };
     let found = match place {
         Place::Vertex(v) if mesh.ball(v).is_empty() => None,
@@ -210,7 +244,7 @@ fn bring_nearer(
     if off <= tolerance {
         return Ok(false);
     }
-    near.push(v);
+    let near: Vec<u32> = near.iter().copied().chain([v]).collect();
     let needed = Threshold::of(LEAST_PERTURBED);
     let mut nearest = f64::INFINITY;
     for _ in 0..ADVANCES {
@@ -229,11 +263,30 @@ fn bring_nearer(
             break;
         }
     }
-    if nearest > left * off {
+    Ok(nearest <= left * off)
+}
+
+/// Whether the surface at an edge has come nearer with an end that moved along the surface: no new vertex is in the way of others.
+fn slide(
+    mesh: &mut ImprovementMesh,
+    (ends, quarters): ([u32; 2], u8),
+    end: usize,
+    &ApproachBounds { left, .. }: &ApproachBounds,
+    near: &[u32],
+    mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
+) -> Result<bool> {
+    let v = ends[end];
+    let Some(cut) = cut_of_edge(mesh, ends, quarters) else { return Ok(false) };
+    // Where more labels meet it would leave their line.
+    if mesh.fixed[v as usize] || mesh.sides(v) != cut.sides {
         return Ok(false);
     }
-    near.extend(mesh.touched_since(trial));
-    Ok(farthest_around(mesh, &near, around) <= off_before && Outcome::of(mesh, near, wanted).is_no_worse_than(&before))
+    let off = farthest_around(mesh, &ends, Around::Holds);
+    if !place_first(mesh, v, mesh.points[v as usize], cut.goal, &Threshold::of(LEAST_PERTURBED)) {
+        return Ok(false);
+    }
+    mend(mesh, near)?;
+    Ok(farthest_around(mesh, &ends, Around::Holds) <= left * off)
 }
 
 #[cfg(test)]
