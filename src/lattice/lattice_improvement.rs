@@ -160,7 +160,7 @@ const LEAST_APPROACHES: usize = 500;
 /// Approaches at the end of images that are mostly vessels, when quality and volumes stand, and the share of a distance that may
 /// be left then: every bit counts where nothing around comes off its surface for it. On 28 trees the largest distance is 0.53 voxel
 /// in the mean with these, 0.54 with one of a share of 0.75 that does not look around.
-const LAST_APPROACHES: usize = 2;
+const LAST_APPROACHES: usize = 3;
 const LAST_LEFT: f64 = 0.9;
 
 /// Steps that bring the volumes back after that: what comes nearer in a crotch is volume of the vessel. On 13 trees up to 0.69 %

@@ -112,9 +112,10 @@ pub fn approach_surface(
     far.retain(|(off, _)| *off < range[1]);
     for (_, place) in far.into_iter().take(budget) {
         let ways = if bounds.ways == Ways::All { &ALL_WAYS[..] } else { &[Way::Move] };
+        let before = State::of(mesh, vertices_around(mesh, place.corners()), &bounds);
         for way in ways {
             let trial = mesh.begin_trial();
-            if try_way(mesh, *way, place, &bounds, trial, mend)? {
+            if try_way(mesh, *way, place, &bounds, &before.near, mend)? && before.is_kept(mesh, trial, &bounds) {
                 mesh.keep_trial();
                 nearer += 1;
                 break;
@@ -137,32 +138,29 @@ enum Way {
 /// All ways, in the order in which they are tried.
 const ALL_WAYS: [Way; 4] = [Way::Flip, Way::Move, Way::Slide(0), Way::Slide(1)];
 
-/// Whether a place is nearer after a way was tried and nothing around it is worse; what was changed since `trial` stays to be kept or
-/// taken back.
+/// Whether a place is nearer after a way was tried; what was changed stays to be kept or taken back. `near` are the vertices around.
 fn try_way(
     mesh: &mut ImprovementMesh,
     way: Way,
     place: Place,
     bounds: &ApproachBounds,
-    trial: Mark,
+    near: &[u32],
     mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
 ) -> Result<bool> {
-    let before = State::of(mesh, vertices_around(mesh, place.corners()), bounds);
-    let is_nearer = match (way, place) {
+    match (way, place) {
         (Way::Flip, Place::Between(chord)) => {
             let is_flipped = flip(mesh, &chord, LEAST_PERTURBED);
             if is_flipped {
-                mend(mesh, &before.near)?;
+                mend(mesh, near)?;
             }
-            is_flipped
+            Ok(is_flipped)
         }
         (Way::Slide(end), Place::Between(Chord::Edge(ends, quarters))) => {
-            slide(mesh, (ends, quarters), end, bounds, &before.near, mend)?
+            slide(mesh, (ends, quarters), end, bounds, near, mend)
         }
-        (Way::Flip | Way::Slide(_), _) => false,
-        (Way::Move, _) => bring_nearer(mesh, place, bounds, &before.near, mend)?,
-    };
-    Ok(is_nearer && before.is_kept(mesh, trial, bounds))
+        (Way::Flip | Way::Slide(_), _) => Ok(false),
+        (Way::Move, _) => bring_nearer(mesh, place, bounds, near, mend),
+    }
 }
 
 /// What is around a place before something is tried.
@@ -179,11 +177,11 @@ impl State {
     }
 
     /// Whether what is around now, also all that was touched since `trial`, is no worse.
-    fn is_kept(self, mesh: &ImprovementMesh, trial: Mark, bounds: &ApproachBounds) -> bool {
-        let mut near = self.near;
+    fn is_kept(&self, mesh: &ImprovementMesh, trial: Mark, bounds: &ApproachBounds) -> bool {
+        let mut near = self.near.clone();
         near.extend(mesh.touched_since(trial));
-        let after = Self::of(mesh, near, bounds);
-        after.off <= self.off && after.outcome.is_no_worse_than(&self.outcome)
+        Outcome::of(mesh, near.clone(), bounds.wanted).is_no_worse_than(&self.outcome)
+            && farthest_around(mesh, &near, bounds.around) <= self.off
     }
 }
 
@@ -192,17 +190,24 @@ fn farthest_around(mesh: &ImprovementMesh, vertices: &[u32], around: Around) -> 
     if around == Around::MayYield {
         return 0.0;
     }
-    let of_vertex = |v: &u32| {
-        let faces = mesh.surface_faces(*v);
-        let with_labels = faces.iter().map(|f| ([*v, f.others[0], f.others[1]], mesh.labels_beside(f)));
-        let own = faces.first().and_then(|f| {
-            let [inner, outer] = mesh.labels_beside(f);
-            mesh.surface.depth(mesh.points[*v as usize], inner, outer)
-        });
-        worst_cut(mesh, with_labels).max(own.map_or(0.0, f64::abs))
-    };
-    let on_surface = |v: &&u32| mesh.is_on_surface(**v) && !mesh.ball(**v).is_empty();
-    vertices.iter().filter(on_surface).map(of_vertex).fold(0.0, f64::max)
+    let mut farthest: f64 = 0.0;
+    let mut near = Vec::new();
+    for v in vertices.iter().copied().filter(|v| mesh.is_on_surface(*v) && !mesh.ball(*v).is_empty()) {
+        let faces = mesh.surface_faces(v);
+        if let Some(face) = faces.first() {
+            let [inner, outer] = mesh.labels_beside(face);
+            farthest = farthest.max(mesh.surface.depth(mesh.points[v as usize], inner, outer).map_or(0.0, f64::abs));
+        }
+        near.extend(faces.iter().map(|face| {
+            let mut corners = [v, face.others[0], face.others[1]];
+            corners.sort_unstable();
+            (corners, mesh.labels_beside(face))
+        }));
+    }
+    // Most have been found at each of their vertices.
+    near.sort_unstable();
+    near.dedup();
+    worst_cut(mesh, near.into_iter()).max(farthest)
 }
 
 /// How far off and what, the farthest first.
