@@ -93,7 +93,7 @@ const LARGEST_STEP: f64 = 0.7;
 const LAST_STEP: f64 = 0.02;
 
 /// How far nodes may have moved and become wider together, in mean spacings, until the segments near each voxel are looked for again.
-const LARGEST_MOVE: f64 = 0.8;
+const LARGEST_MOVE: f64 = 0.5;
 
 /// Least radius, in mean spacings.
 pub const LEAST_RADIUS: f64 = 0.3;
@@ -155,6 +155,14 @@ struct NearSegment {
     number: u32,
 }
 
+/// Which voxels have segments near them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Wanted {
+    All,
+    /// Those that may lack depth on their side.
+    Lacking,
+}
+
 /// The segments of all tubes, in order.
 fn segments_of(tubes: &[Tube]) -> Vec<Segment> {
     let of_tube = |(tube, of): (usize, &Tube)| {
@@ -202,11 +210,12 @@ impl BoundaryVoxels {
     /// Where each voxel is deepest in some tubes.
     pub fn deepest(&self, tubes: &[Tube]) -> Vec<Deepest> {
         let segments = segments_of(tubes);
-        self.deepest_among(&segments, &self.near_segments(&segments))
+        self.deepest_among(&segments, &self.near_segments(&segments, Wanted::All))
     }
 
     /// For each chunk of voxels the segments that each may be deepest in, also after the nodes have moved by [`LARGEST_MOVE`].
-    fn near_segments(&self, segments: &[Segment]) -> Vec<Vec<NearSegment>> {
+    fn near_segments(&self, segments: &[Segment], wanted: Wanted) -> Vec<Vec<NearSegment>> {
+        let movable = LARGEST_MOVE * self.mean_spacing();
         let of_chunk = |voxels: std::ops::Range<usize>| {
             let mut near = Vec::new();
             let mut deepest = vec![f64::NEG_INFINITY; voxels.len()];
@@ -223,8 +232,14 @@ impl BoundaryVoxels {
                 });
             }
             // Each of two depths changes by no more.
-            let reach = 2.0 * LARGEST_MOVE * self.mean_spacing();
-            near.retain(|(segment, depth)| *depth >= deepest[segment.slot as usize] - reach);
+            let may_lack = |slot: usize| {
+                wanted == Wanted::All
+                    || self.lack(voxels.start + slot, deepest[slot] - self.side(voxels.start + slot) * movable) > 0.0
+            };
+            near.retain(|(segment, depth)| {
+                let slot = segment.slot as usize;
+                *depth >= deepest[slot] - 2.0 * movable && may_lack(slot)
+            });
             near.sort_by_key(|(segment, _)| segment.slot);
             near.into_iter().map(|(segment, _)| segment).collect()
         };
@@ -289,7 +304,7 @@ pub fn fit_tubes(
         context.check()?;
         let segments = segments_of(tubes);
         if moved > LARGEST_MOVE {
-            near = voxels.near_segments(&segments);
+            near = voxels.near_segments(&segments, Wanted::Lacking);
             moved = 0.0;
         }
         let deepest = voxels.deepest_among(&segments, &near);
