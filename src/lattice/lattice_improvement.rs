@@ -158,8 +158,8 @@ const TETS_PER_APPROACH: usize = 5000;
 const LEAST_APPROACHES: usize = 500;
 
 /// Approaches at the end of images that are mostly vessels, when quality and volumes stand, and the share of a distance that may
-/// be left then: every bit counts where nothing around comes off its surface for it. On 28 trees the largest distance is 0.53 voxel
-/// in the mean with these, 0.54 with one of a share of 0.75 that does not look around.
+/// be left then: every bit counts where nothing around comes off its surface for it. On 16 trees 114 places are off by more than 0.35
+/// voxel without slides, 105 with two such rounds, 101 with these; the largest distance is 0.46, 0.45, 0.45 voxel in the mean.
 const LAST_APPROACHES: usize = 3;
 const LAST_LEFT: f64 = 0.9;
 
