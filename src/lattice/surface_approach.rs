@@ -80,7 +80,8 @@ pub struct ApproachBounds {
 pub enum Ways {
     /// A vertex that can go some of the way at once.
     Moves,
-    /// Also flips, ends of edges that slide, and vertices that something stands right before: creases are full of these. A vertex stays at its best advance.
+    /// Also flips, ends of edges that slide, and vertices that something stands right before: creases are full of these. A vertex stays
+    /// at its best advance.
     /// On balls of thick slices the vertex that is farthest off is 0.50 voxel off so, 0.39 where it may go on from a worse one.
     All,
 }
