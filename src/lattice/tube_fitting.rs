@@ -231,7 +231,7 @@ impl BoundaryVoxels {
                     }
                 });
             }
-            // Each of two depths changes by no more.
+            // By as much a depth may fall until the next look, and another one rise.
             let may_lack = |slot: usize| {
                 wanted == Wanted::All
                     || self.lack(voxels.start + slot, deepest[slot] - self.side(voxels.start + slot) * movable) > 0.0
@@ -561,6 +561,37 @@ mod tests {
         let ends = [tubes[0].nodes[0].center, tubes[0].nodes[10].center];
         assert!(ends[0].distance(from) < 0.4 && ends[1].distance(to) < 0.4, "{ends:?}");
         assert_eq!(tubes, fit(3));
+    }
+
+    #[test]
+    fn voxels_are_deepest_in_the_segments_near_them_also_after_these_have_moved() {
+        let tubes = [
+            tube(&[([4.0, 8.0, 4.0], 1.8), ([8.2, 8.4, 8.0], 1.6), ([8.0, 8.0, 14.0], 1.5)]),
+            tube(&[([14.0, 6.0, 9.0], 1.2), ([8.4, 8.2, 8.6], 1.4)]),
+        ];
+        let voxels = boundary(18, DVec3::new(1.0, 0.9, 1.1), |p| depth(&tubes, p) > 0.0);
+        let near = |wanted| voxels.near_segments(&segments_of(&tubes), wanted);
+        let mut moved = tubes.clone();
+        for (n, node) in moved.iter_mut().flat_map(|tube| &mut tube.nodes).enumerate() {
+            node.center += 0.7 * LARGEST_MOVE * DVec3::new(n as f64 * 0.9 - 2.0, 1.0, -0.4).normalize();
+            node.radius -= 0.3 * LARGEST_MOVE;
+        }
+        let expected = voxels.deepest(&moved);
+        // A voxel that is looked for from afar may have come within reach.
+        let is_near = |found: &Deepest| found.depth > 1.0 - REACH;
+        let compared = voxels.deepest_among(&segments_of(&moved), &near(Wanted::All));
+        assert!(expected.iter().zip(&compared).all(|(l, r)| l == r || !is_near(l)));
+        let lacking = voxels.deepest_among(&segments_of(&moved), &near(Wanted::Lacking));
+        let (mut seen, mut left_out) = (0, 0);
+        for (voxel, found) in expected.iter().enumerate().filter(|(_, found)| is_near(found)) {
+            if voxels.lack(voxel, found.depth) > 0.0 {
+                assert_eq!(lacking[voxel], *found);
+                seen += 1;
+            } else {
+                left_out += usize::from(lacking[voxel].tube == NONE);
+            }
+        }
+        assert!(seen > 100 && left_out > 100, "{seen} {left_out}");
     }
 
     #[test]
