@@ -13,7 +13,8 @@
 //! in two rounds surface edges and faces are split that cut off what bends ([`chord_splits`](crate::lattice::chord_splits)), in a third
 //! one what still is far off its surface is brought nearer ([`surface_approach`](crate::lattice::surface_approach)); where labels are
 //! vessels also at the end, after tets beyond the surface took the other label and surface edges that bridge a crease were flipped
-//! ([`surface_edge_flips`](crate::lattice::surface_edge_flips)).
+//! ([`surface_edge_flips`](crate::lattice::surface_edge_flips)). The volumes come back after that, vertex by vertex
+//! ([`volume_offsets`](crate::lattice::volume_offsets)).
 //! Vertices and tets are renumbered along a curve first, and again after most splits ([`vertex_order`](crate::lattice::vertex_order)).
 //! Around tets that are low after all that, the mesh is searched through worse ones, and surface vertices may stay off their
 //! surface by a little more each time ([`iterated_search`](crate::lattice::iterated_search)).

@@ -71,6 +71,7 @@ pub struct SubvoxelSurface<'a> {
     smooth: SmoothDistances,
     /// Outward offset per label, mm.
     offsets: Vec<f64>,
+    has_mostly_vessels: bool,
     /// The Gaussian at whole voxels -2 to 3.
     tails: [f64; 6],
 }
@@ -96,12 +97,16 @@ impl<'a> SubvoxelSurface<'a> {
     /// # Errors
     /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
     pub fn new(image: &'a LabelImage, context: &RunContext) -> Result<Self> {
+        let smooth = SmoothDistances::new(image, context)?;
+        let labels = image.label_count();
+        let vessels = (0..labels).filter(|label| smooth.is_tubular(Label(*label as u16))).count();
         Ok(Self {
-            smooth: SmoothDistances::new(image, context)?,
+            smooth,
+            has_mostly_vessels: 2 * vessels >= labels,
             voxels: image.voxels(),
             size: image.grid().size(),
             spacing: image.grid().spacing(),
-            offsets: vec![0.0; image.label_count()],
+            offsets: vec![0.0; labels],
             tails: std::array::from_fn(|slot| {
                 let i = slot as f64 - 2.0;
                 (-i * i / (2.0 * SIGMA * SIGMA)).exp()
@@ -111,8 +116,7 @@ impl<'a> SubvoxelSurface<'a> {
 
     /// Whether at least half of the labels are vessels, the background around them included.
     pub fn has_mostly_vessels(&self) -> bool {
-        let vessels = (0..self.offsets.len()).filter(|label| self.smooth.is_tubular(Label(*label as u16))).count();
-        2 * vessels >= self.offsets.len()
+        self.has_mostly_vessels
     }
 
     /// Millimetres between voxels.

@@ -300,7 +300,7 @@ mod tests {
     use super::*;
     use crate::context::RunContext;
     use crate::lattice::options::{Options, PARAMETERS};
-    use crate::lattice::test_images::voxel_image;
+    use crate::lattice::test_images::{fork_distance, voxel_image};
     use crate::mesh::validation::check_mixed_mesh;
     use crate::parameters::ParameterSet;
 
@@ -336,15 +336,8 @@ mod tests {
 
     #[test]
     fn the_crease_of_a_fork_is_met() {
-        let fork = DVec3::new(18.9, 17.4, 18.7);
-        let ends = [[19.0, 15.9, 5.5], [27.8, 16.7, 31.7], [9.2, 20.7, 31.7]].map(DVec3::from);
-        let off = |p: DVec3| {
-            let along = |end: &DVec3| {
-                let (way, q) = (*end - fork, p - fork);
-                (q - way * (q.dot(way) / way.length_squared()).clamp(0.0, 1.0)).length() - 1.9
-            };
-            ends.iter().map(along).fold(f64::INFINITY, f64::min)
-        };
+        let ends = [[19.0, 15.9, 5.5], [27.8, 16.7, 31.7], [9.2, 20.7, 31.7]];
+        let off = |p: DVec3| fork_distance(p, ends, 1.9);
         let image = voxel_image(38, |p| u16::from(off(p) < 0.0));
         let options = Options::from_parameters(&ParameterSet::new(PARAMETERS)).unwrap();
         let (output, _) = crate::lattice::run(&image, &options, &RunContext::with_threads(1).unwrap()).unwrap();

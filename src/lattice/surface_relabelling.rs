@@ -180,7 +180,7 @@ mod tests {
     use crate::lattice::face_adjacency::neighbors_of;
     use crate::lattice::options::{Options, PARAMETERS};
     use crate::lattice::subvoxel_surface::SubvoxelSurface;
-    use crate::lattice::test_images::voxel_image;
+    use crate::lattice::test_images::{fork_distance, voxel_image};
     use crate::mesh::validation::check_mixed_mesh;
     use crate::parameters::ParameterSet;
 
@@ -265,15 +265,8 @@ mod tests {
     #[test]
     fn a_thin_vessel_that_forks_is_open_and_its_wall_has_no_tets_within() {
         // A trunk and two arms of 1.3 voxels radius, in a wall of 1.4 voxels.
-        let fork = DVec3::new(18.9, 17.4, 18.7);
-        let ends = [[19.0, 15.9, 7.5], [26.8, 16.7, 30.7], [10.2, 20.7, 30.7]].map(DVec3::from);
-        let distance = |p: DVec3| {
-            let along = |end: &DVec3| {
-                let (way, q) = (*end - fork, p - fork);
-                (q - way * (q.dot(way) / way.length_squared()).clamp(0.0, 1.0)).length() - 1.3
-            };
-            ends.iter().map(along).fold(f64::INFINITY, f64::min)
-        };
+        let ends = [[19.0, 15.9, 7.5], [26.8, 16.7, 30.7], [10.2, 20.7, 30.7]];
+        let distance = |p: DVec3| fork_distance(p, ends, 1.3);
         let image = voxel_image(36, |p| if distance(p) < 0.0 { 1 } else { 2 * u16::from(distance(p) < 1.4) });
         let options = Options::from_parameters(&ParameterSet::new(PARAMETERS)).unwrap();
         let (output, report) = crate::lattice::run(&image, &options, &RunContext::with_threads(1).unwrap()).unwrap();

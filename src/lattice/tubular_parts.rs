@@ -406,7 +406,7 @@ fn flatness(pair: &[TubeNode], solid: &Solid) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lattice::test_images::{spaced_image, voxel_image};
+    use crate::lattice::test_images::{fork_distance, spaced_image, voxel_image};
 
     /// Distances of all labels, with all voxels for a band and for layers.
     fn distances(image: &LabelImage, threads: usize) -> Vec<Option<TubularDistance>> {
@@ -421,13 +421,7 @@ mod tests {
 
     /// Distance to a fork of three arms of 1.6 mm radius, negative inside.
     fn fork(p: DVec3) -> f64 {
-        let fork = DVec3::new(18.9, 17.4, 18.7);
-        let ends = [[19.0, 15.9, 5.5], [27.8, 16.7, 31.7], [9.2, 20.7, 31.7]].map(DVec3::from);
-        let along = |end: &DVec3| {
-            let (way, q) = (*end - fork, p - fork);
-            (q - way * (q.dot(way) / way.length_squared()).clamp(0.0, 1.0)).length() - 1.6
-        };
-        ends.iter().map(along).fold(f64::INFINITY, f64::min)
+        fork_distance(p, [[19.0, 15.9, 5.5], [27.8, 16.7, 31.7], [9.2, 20.7, 31.7]], 1.6)
     }
 
     #[test]
