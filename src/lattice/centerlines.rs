@@ -6,7 +6,8 @@
 //! 2. Shortest ways from the root to all voxels, where a step costs the more the nearer the boundary is: they keep to the
 //!    middle.
 //! 3. The voxel farthest from the root that no line has covered is a tip: the way from it is followed towards the root until
-//!    it meets a line. What is near that line is covered. This is repeated until nothing is left.
+//!    it enters the balls around a line, as wide as the solid there: in a wide vessel two ways may run side by side. What is near that
+//!    line is covered. This is repeated until nothing is left.
 //! 4. Each line becomes a tube: nodes at equal steps, each with the mean place and radius around it. At a tip it begins as far
 //!    inside as the tube is wide: there its end is round.
 //! ```text
@@ -135,7 +136,7 @@ impl Solid {
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn centerlines(solid: &Solid, context: &RunContext) -> Result<Vec<Tube>> {
     let mut ways = Ways::new(solid);
-    let mut lines = Lines { owner: vec![NONE; solid.voxels.len()], is_covered: vec![false; solid.voxels.len()] };
+    let mut lines = Lines { is_within: vec![false; solid.voxels.len()], is_covered: vec![false; solid.voxels.len()] };
     let mut is_seen = vec![false; solid.voxels.len()];
     let mut tubes = Vec::new();
     let unit = solid.mean_spacing();
@@ -173,44 +174,42 @@ enum LineEnd {
     Joint,
 }
 
-/// Which voxels lines go through, and which are near one.
+/// Which voxels are in the balls around lines, and which are near one.
 struct Lines {
-    owner: Vec<u32>,
+    is_within: Vec<bool>,
     is_covered: Vec<bool>,
 }
 
 impl Lines {
-    /// The voxels from a tip towards the root, up to the first that another line has.
-    fn follow(&mut self, tip: u32, before: &[u32]) -> (Vec<u32>, LineEnd) {
+    /// The voxels from a tip towards the root, up to the first within another line.
+    fn follow(&self, tip: u32, before: &[u32]) -> (Vec<u32>, LineEnd) {
         let mut line = vec![tip];
-        self.owner[tip as usize] = tip;
         loop {
             let next = before[line[line.len() - 1] as usize];
             if next == NONE {
                 return (line, LineEnd::Root);
             }
             line.push(next);
-            if self.owner[next as usize] != NONE {
+            if self.is_within[next as usize] {
                 return (line, LineEnd::Joint);
             }
-            self.owner[next as usize] = tip;
         }
     }
 
     fn cover(&mut self, solid: &Solid, line: &[u32]) {
         for voxel in line {
             let center = solid.place(*voxel as usize);
-            let reach = COVERED_RADII * solid.radius(*voxel as usize) + COVERED_VOXELS * solid.mean_spacing();
+            let radius = solid.radius(*voxel as usize);
+            let reach = COVERED_RADII * radius + COVERED_VOXELS * solid.mean_spacing();
             let at = solid.voxels[*voxel as usize];
             let steps = (DVec3::splat(reach) / solid.spacing).ceil().as_ivec3().to_array();
             for k in at[2] - steps[2]..=at[2] + steps[2] {
                 for j in at[1] - steps[1]..=at[1] + steps[1] {
                     for i in at[0] - steps[0]..=at[0] + steps[0] {
-                        if let Some(near) = solid.index.get([i, j, k])
-                            && solid.place(near).distance(center) <= reach
-                        {
-                            self.is_covered[near] = true;
-                        }
+                        let Some(near) = solid.index.get([i, j, k]) else { continue };
+                        let distance = solid.place(near).distance(center);
+                        self.is_covered[near] |= distance <= reach;
+                        self.is_within[near] |= distance <= radius;
                     }
                 }
             }

@@ -112,6 +112,18 @@ struct TubeDistance {
     corrections: Vec<[f32; BLOCK * BLOCK * BLOCK]>,
 }
 
+/// The smooth distance of a label at a place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    /// Distance to the surface, mm, positive inside.
+    pub value: f64,
+    /// Where it grows; that of the spline.
+    pub gradient: DVec3,
+    /// Whether the value is that of tubes: a distance also where the gradient is short. Elsewhere a short one tells that a value that
+    /// is rounded off is too small.
+    pub is_depth: bool,
+}
+
 impl SmoothDistances {
     /// The distances of an image.
     ///
@@ -140,9 +152,8 @@ impl SmoothDistances {
         self.fields.get(label.index()).is_some_and(|field| field.tubes.is_some())
     }
 
-    /// Distance to the surface of a label, mm, positive inside, and its gradient, at a place in voxels; `None` where the surface
-    /// is far.
-    pub fn sample(&self, label: Label, place: DVec3, size: [usize; 3], spacing: DVec3) -> Option<(f64, DVec3)> {
+    /// Smooth distance of a label at a place in voxels; `None` where the surface is far.
+    pub fn sample(&self, label: Label, place: DVec3, size: [usize; 3], spacing: DVec3) -> Option<Sample> {
         self.fields.get(label.index())?.sample(place, size, spacing)
     }
 }
@@ -156,34 +167,57 @@ impl LabelDistance {
         (i + self.count[0] * (j + self.count[1] * k), inside)
     }
 
-    fn sample(&self, place: DVec3, size: [usize; 3], spacing: DVec3) -> Option<(f64, DVec3)> {
+    /// The voxels around a place and their weights; `None` where some are far from the label.
+    fn stencil(&self, place: DVec3, size: [usize; 3], spacing: DVec3) -> Option<Stencil> {
         let nearest = floor_of(place + 0.5).as_dvec3();
-        let mut voxel = [[0usize; 3]; 3];
-        let mut value = [[0.0f64; 3]; 3];
-        let mut slope = [[0.0f64; 3]; 3];
+        let mut stencil = Stencil::default();
         for axis in 0..3 {
             let at = place[axis] - nearest[axis];
             let (low, high) = (0.5 - at, 0.5 + at);
-            value[axis] = [0.5 * low * low, 0.75 - at * at, 0.5 * high * high];
-            slope[axis] = [-low, -2.0 * at, high].map(|s| s / spacing[axis]);
+            stencil.value[axis] = [0.5 * low * low, 0.75 - at * at, 0.5 * high * high];
+            stencil.slope[axis] = [-low, -2.0 * at, high].map(|s| s / spacing[axis]);
             for step in 0..3 {
                 // The image is continued past its border by its outermost voxels.
                 let at = nearest[axis] + step as f64 - 1.0;
                 let block = (at.max(0.0) as usize).min(size[axis] - 1);
-                voxel[axis][step] = block.checked_sub(BLOCK * self.first[axis])?;
-                if voxel[axis][step] >= BLOCK * self.count[axis] {
+                let voxel = block.checked_sub(BLOCK * self.first[axis])?;
+                if voxel >= BLOCK * self.count[axis] {
                     return None;
                 }
+                stencil.voxel[axis][step] = voxel;
             }
         }
+        Some(stencil)
+    }
+
+    /// Where the row of a stencil begins: the first of its blocks in the table, and its place in a block.
+    fn row(&self, stencil: &Stencil, j: usize, k: usize) -> (usize, usize) {
+        let (y, z) = (stencil.voxel[1][j], stencil.voxel[2][k]);
+        let blocks = (z / BLOCK * self.count[1] + y / BLOCK) * self.count[0];
+        (blocks, BLOCK * (y % BLOCK + BLOCK * (z % BLOCK)))
+    }
+
+    fn sample(&self, place: DVec3, size: [usize; 3], spacing: DVec3) -> Option<Sample> {
+        let stencil = self.stencil(place, size, spacing)?;
+        let mut sample = self.spline(&stencil)?;
+        if let Some(tubes) = &self.tubes
+            && let Some((exact, ahead)) = tubes.distance(place * spacing, self, &stencil)
+        {
+            let share = (1.0 - ahead / (CREASE * spacing.element_sum() / 3.0)).max(0.0);
+            sample.value += share * (exact - sample.value);
+            sample.is_depth = true;
+        }
+        // A missing coefficient is not a number, and so is every sum with it.
+        sample.value.is_finite().then_some(sample)
+    }
+
+    /// The spline; `None` where a block is missing.
+    fn spline(&self, stencil: &Stencil) -> Option<Sample> {
+        let Stencil { voxel, value, slope } = stencil;
         let (mut sum, mut gradient) = (0.0, DVec3::ZERO);
-        let mut correction = 0.0;
-        let mut segments = NearSegments::default();
         for k in 0..3 {
             for j in 0..3 {
-                let row = |b: usize| b / BLOCK * self.count[1];
-                let blocks = (row(voxel[2][k]) + voxel[1][j] / BLOCK) * self.count[0];
-                let inside = BLOCK * (voxel[1][j] % BLOCK + BLOCK * (voxel[2][k] % BLOCK));
+                let (blocks, inside) = self.row(stencil, j, k);
                 let (mut along, mut change) = (0.0, 0.0);
                 for i in 0..3 {
                     let x = voxel[0][i];
@@ -192,11 +226,6 @@ impl LabelDistance {
                         return None;
                     }
                     let coefficient = f64::from(self.blocks[block as usize][inside + x % BLOCK]);
-                    if let Some(tubes) = &self.tubes {
-                        let of_voxel = f64::from(tubes.corrections[block as usize][inside + x % BLOCK]);
-                        correction += value[0][i] * value[1][j] * value[2][k] * of_voxel;
-                        segments.add(tubes.deepest[block as usize][inside + x % BLOCK]);
-                    }
                     along += value[0][i] * coefficient;
                     change += slope[0][i] * coefficient;
                 }
@@ -205,16 +234,16 @@ impl LabelDistance {
                 gradient += DVec3::new(y * z * change, slope[1][j] * z * along, y * slope[2][k] * along);
             }
         }
-        if let Some(tubes) = &self.tubes
-            && correction.is_finite()
-        {
-            let (exact, ahead) = tubes.distance(place * spacing, &segments);
-            let share = (1.0 - ahead / (CREASE * spacing.element_sum() / 3.0)).max(0.0);
-            sum += share * (exact + correction - sum);
-        }
-        // A missing coefficient is not a number, and so is every sum with it.
-        sum.is_finite().then_some((sum, gradient))
+        Some(Sample { value: sum, gradient, is_depth: false })
     }
+}
+
+/// The voxels around a place, by their places from the first block of a label, and what each counts along each axis.
+#[derive(Debug, Clone, Copy, Default)]
+struct Stencil {
+    voxel: [[usize; 3]; 3],
+    value: [[f64; 3]; 3],
+    slope: [[f64; 3]; 3],
 }
 
 /// The segments of the voxels around a place, each once.
@@ -234,9 +263,32 @@ impl NearSegments {
 }
 
 impl TubeDistance {
-    /// Distance to the surface of some of the tubes' segments, mm, positive inside of the label, and how much deeper the point is in
-    /// the deepest tube than in the next.
-    fn distance(&self, point: DVec3, segments: &NearSegments) -> (f64, f64) {
+    /// Distance to the surface of the tubes within the bounds of the voxels, mm, positive inside of the label, and how much deeper the
+    /// point is in the deepest tube than in the next; `None` where the tubes do not tell. All blocks of the stencil are there.
+    fn distance(&self, point: DVec3, label: &LabelDistance, stencil: &Stencil) -> Option<(f64, f64)> {
+        let Stencil { voxel, value, .. } = stencil;
+        let mut correction = 0.0;
+        let mut segments = NearSegments::default();
+        for k in 0..3 {
+            for j in 0..3 {
+                let (blocks, inside) = label.row(stencil, j, k);
+                for i in 0..3 {
+                    let x = voxel[0][i];
+                    let (block, place) = (label.table[blocks + x / BLOCK] as usize, inside + x % BLOCK);
+                    let of_voxel = f64::from(self.corrections[block][place]);
+                    correction += value[0][i] * value[1][j] * value[2][k] * of_voxel;
+                    segments.add(self.deepest[block][place]);
+                }
+            }
+        }
+        correction.is_finite().then(|| {
+            let (exact, ahead) = self.exact_distance(point, &segments);
+            (exact + correction, ahead)
+        })
+    }
+
+    /// Distance to the surface of some of the tubes' segments, and how much deeper the point is in the deepest tube than in the next.
+    fn exact_distance(&self, point: DVec3, segments: &NearSegments) -> (f64, f64) {
         let mut best = [(f64::NEG_INFINITY, u32::MAX), (f64::NEG_INFINITY, u32::MAX)];
         for number in &segments.numbers[..segments.count] {
             let (ends, tube) = &self.segments[*number as usize];
@@ -520,7 +572,8 @@ mod tests {
 
     fn value(field: &SmoothDistances, image: &LabelImage, label: u16, at: DVec3) -> Option<(f64, DVec3)> {
         let grid = image.grid();
-        field.sample(Label(label), at / grid.spacing(), grid.size(), grid.spacing())
+        let found = field.sample(Label(label), at / grid.spacing(), grid.size(), grid.spacing())?;
+        Some((found.value, found.gradient))
     }
 
     #[test]

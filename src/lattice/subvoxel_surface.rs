@@ -25,7 +25,7 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
-use crate::lattice::smooth_distance::SmoothDistances;
+use crate::lattice::smooth_distance::{Sample, SmoothDistances};
 
 /// Width of the smoothing in voxels: below 0.7 the staircase shows, above 1.2 walls of 1.5 voxels lose volume.
 const SIGMA: f64 = 0.95;
@@ -76,12 +76,22 @@ pub struct SubvoxelSurface<'a> {
     tails: [f64; 6],
 }
 
-/// What the smooth distance of one label says of the surface between two: distance, mm, unit normal, and weight.
+/// What the smooth distance of one label says of the surface between two.
 #[derive(Debug, Clone, Copy)]
 struct LabelTerm {
-    distance: f64,
-    normal: DVec3,
+    near: NearSurface,
     weight: f64,
+}
+
+/// A surface between two labels near a point.
+#[derive(Debug, Clone, Copy, Default)]
+struct NearSurface {
+    /// Way to it along the normal, mm, positive in the first label.
+    distance: f64,
+    /// Distance to it, mm: less than the way by a crease between two tubes.
+    depth: f64,
+    /// Unit normal towards the first label.
+    normal: DVec3,
 }
 
 /// Weights of the Gaussian and its derivative along one axis, and the voxels they belong to.
@@ -215,30 +225,34 @@ impl<'a> SubvoxelSurface<'a> {
     /// Signed distance to the surface between labels a and b, mm, positive in a, and the unit normal towards a; `None` where
     /// no such surface is near.
     pub fn signed_distance(&self, point: DVec3, a: Label, b: Label) -> Option<(f64, DVec3)> {
-        self.near_distance(point, a, b).or_else(|| self.blurred_distance(point, a, b))
+        let near = self.near_surface(point, a, b).map(|near| (near.distance, near.normal));
+        near.or_else(|| self.blurred_distance(point, a, b))
     }
 
-    /// As the distance of [`signed_distance`](Self::signed_distance), also in the middle of a thin part, where no direction leads to
-    /// the surface: half the difference of both labels' distances there.
+    /// How far a point is from the surface between labels a and b, mm, positive in a: the distance of
+    /// [`signed_distance`](Self::signed_distance), but for a crease between two tubes, where the normal leads into the crease and the
+    /// surface is nearer. Also in the middle of a thin part, where no direction leads to the surface: half the difference of both
+    /// labels' distances there.
     pub fn depth(&self, point: DVec3, a: Label, b: Label) -> Option<f64> {
-        if let Some((distance, _)) = self.near_distance(point, a, b) {
-            return Some(distance);
+        if let Some(near) = self.near_surface(point, a, b) {
+            return Some(near.depth);
         }
         let has = |label| self.smooth.has(label) && !self.is_beside_tubes(label, [a, b]);
-        let value =
-            |label| has(label).then(|| self.smooth.sample(label, point / self.spacing, self.size, self.spacing))?;
+        let sample = |label| self.smooth.sample(label, point / self.spacing, self.size, self.spacing);
+        let value = |label| has(label).then(|| sample(label))?.map(|found| found.value);
         match (value(a), value(b)) {
-            (Some((of_a, _)), Some((of_b, _))) => Some((of_a - of_b) / 2.0 + self.offset(a, b)),
-            (Some((of_a, _)), None) if !has(b) => Some(of_a + self.offset(a, b)),
-            (None, Some((of_b, _))) if !has(a) => Some(self.offset(a, b) - of_b),
+            (Some(of_a), Some(of_b)) => Some((of_a - of_b) / 2.0 + self.offset(a, b)),
+            (Some(of_a), None) if !has(b) => Some(of_a + self.offset(a, b)),
+            (None, Some(of_b)) if !has(a) => Some(self.offset(a, b) - of_b),
             _ => self.blurred_distance(point, a, b).map(|(distance, _)| distance),
         }
     }
 
-    /// As [`signed_distance`](Self::signed_distance), near a boundary only.
-    fn near_distance(&self, point: DVec3, a: Label, b: Label) -> Option<(f64, DVec3)> {
-        let (distance, normal) = self.smooth_difference(point, a, b)?;
-        Some((distance.clamp(-LONGEST_DISTANCE, LONGEST_DISTANCE) + self.offset(a, b), normal))
+    /// The surface near a boundary, moved by the offsets.
+    fn near_surface(&self, point: DVec3, a: Label, b: Label) -> Option<NearSurface> {
+        let NearSurface { distance, depth, normal } = self.smooth_difference(point, a, b)?;
+        let moved = |d: f64| d.clamp(-LONGEST_DISTANCE, LONGEST_DISTANCE) + self.offset(a, b);
+        Some(NearSurface { distance: moved(distance), depth: moved(depth), normal })
     }
 
     /// Whether the other label of a pair is a vessel and this one is not: the vessel's distance is that of the surface between
@@ -247,39 +261,46 @@ impl<'a> SubvoxelSurface<'a> {
         !self.smooth.is_tubular(label) && pair.into_iter().any(|other| self.smooth.is_tubular(other))
     }
 
-    /// The distance from the smooth distances of both labels, and the unit normal. A label that is thin or has an edge here
-    /// (another label meets the two) has a distance that is rounded off, of a short gradient: it weighs little.
-    fn smooth_difference(&self, point: DVec3, a: Label, b: Label) -> Option<(f64, DVec3)> {
+    /// The surface from the smooth distances of both labels. A label that is thin or has an edge here (another label meets the two)
+    /// has a distance that is rounded off, of a short gradient: it weighs little.
+    fn smooth_difference(&self, point: DVec3, a: Label, b: Label) -> Option<NearSurface> {
         let place = point / self.spacing;
         let mut found: [Option<LabelTerm>; 2] = [None; 2];
         for (slot, (label, sign)) in [(a, 1.0), (b, -1.0)].into_iter().enumerate() {
             if (!self.smooth.has(label) && label.is_background()) || self.is_beside_tubes(label, [a, b]) {
                 continue;
             }
-            let (value, gradient) = self.smooth.sample(label, place, self.size, self.spacing)?;
+            let Sample { value, gradient, is_depth } = self.smooth.sample(label, place, self.size, self.spacing)?;
             let square = gradient.length_squared();
             if square > LEAST_GRADIENT * LEAST_GRADIENT {
                 let length = square.sqrt();
                 let weight = square.min(1.0).powi(GRADIENT_POWER);
-                found[slot] =
-                    Some(LabelTerm { distance: sign * value / length, normal: sign * gradient / length, weight });
+                let distance = sign * value / length;
+                let depth = if is_depth { sign * value } else { distance };
+                let near = NearSurface { distance, depth, normal: sign * gradient / length };
+                found[slot] = Some(LabelTerm { near, weight });
             }
         }
-        if let [Some(of_a), Some(of_b)] = found
+        if let [Some(LabelTerm { near: of_a, .. }), Some(LabelTerm { near: of_b, .. })] = found
             && (of_a.distance > 0.0) == (of_b.distance > 0.0)
             && of_a.normal.dot(of_b.normal) < 0.0
         {
             // Within a thin label whose other surface is nearer. The surface between a and b is no nearer than either label's.
             found[usize::from(of_a.distance.abs() > of_b.distance.abs())] = None;
         }
-        let (mut distance, mut normal, mut total) = (0.0, DVec3::ZERO, 0.0);
-        for term in found.into_iter().flatten() {
-            distance += term.weight * term.distance;
-            normal += term.weight * term.normal;
-            total += term.weight;
+        let (mut sum, mut total) = (NearSurface::default(), 0.0);
+        for LabelTerm { near, weight } in found.into_iter().flatten() {
+            sum.distance += weight * near.distance;
+            sum.depth += weight * near.depth;
+            sum.normal += weight * near.normal;
+            total += weight;
         }
-        let length = normal.length();
-        (length > LEAST_GRADIENT * total).then(|| (distance / total, normal / length))
+        let length = sum.normal.length();
+        (length > LEAST_GRADIENT * total).then(|| NearSurface {
+            distance: sum.distance / total,
+            depth: sum.depth / total,
+            normal: sum.normal / length,
+        })
     }
 
     /// As [`signed_distance`](Self::signed_distance), by the smoothed indicators.

@@ -34,8 +34,10 @@ use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::iterated_search::{LEAST_PERTURBED, Outcome, vertices_around};
 use crate::lattice::local_transformations::worst_cut;
 
-/// Times that a vertex goes on after its tets were made better.
+/// Times that a vertex goes on after its tets were made better, and where all ways are tried. On 23 trees of vessels the farthest
+/// places are off by 0.42 voxel in the mean with 3, by 0.41 with 6 and with 12.
 const ADVANCES: usize = 3;
+const MORE_ADVANCES: usize = 6;
 
 /// A vertex this near, in tolerances, goes no further.
 const NEAR: f64 = 0.5;
@@ -253,7 +255,8 @@ fn bring_nearer(
     let near: Vec<u32> = near.iter().copied().chain([v]).collect();
     let needed = Threshold::of(LEAST_PERTURBED);
     let mut nearest = f64::INFINITY;
-    for _ in 0..ADVANCES {
+    let advances = if ways == Ways::All { MORE_ADVANCES } else { ADVANCES };
+    for _ in 0..advances {
         let advance = mesh.begin_trial();
         let from = mesh.points[v as usize];
         place_first(mesh, v, from, goal, &needed);
