@@ -89,7 +89,9 @@ pub enum Start {
 /// degrees. The stars of the mesh are up to date. Returns how many were split.
 pub fn split_chords(mesh: &mut ImprovementMesh, tolerance: f64, bound: f64) -> usize {
     let far = chords(mesh, tolerance);
-    far.into_iter().filter(|(_, chord)| insert_in_chord(mesh, *chord, bound, Start::Nearer).is_some()).count()
+    far.into_iter()
+        .filter(|(_, chord)| insert_in_chord(mesh, *chord, bound, (Start::Nearer, Towards::Crease)).is_some())
+        .count()
 }
 
 /// Flips a chord that is an edge.
@@ -151,6 +153,15 @@ fn is_in_border(mesh: &ImprovementMesh, [a, b, c]: [u32; 3]) -> bool {
     mesh.sides(a).iter().any(|s| matches!(s, Side::Border(_)) && mesh.sides(b).contains(s) && mesh.sides(c).contains(s))
 }
 
+/// Where a new vertex goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Towards {
+    /// To where all the surface around leads, into a crease.
+    Crease,
+    /// To the nearest place of one tube, beside a crease: where two tubes run side by side nothing leads into it.
+    OneTube,
+}
+
 /// What an edge cuts off.
 pub struct CutOff {
     /// The tets around the edge.
@@ -164,7 +175,7 @@ pub struct CutOff {
 }
 
 /// What an edge cuts off at some quarters of it; `None` where the edge is no more, or no surface is near.
-pub fn cut_of_edge(mesh: &ImprovementMesh, [a, b]: [u32; 2], quarters: u8) -> Option<CutOff> {
+pub fn cut_of_edge(mesh: &ImprovementMesh, [a, b]: [u32; 2], quarters: u8, towards: Towards) -> Option<CutOff> {
     let shell = mesh.shell(a, b);
     if shell.is_empty() {
         return None; // Another split has taken it.
@@ -172,8 +183,17 @@ pub fn cut_of_edge(mesh: &ImprovementMesh, [a, b]: [u32; 2], quarters: u8) -> Op
     let sides = sides_of_edge(mesh, a, b, &shell);
     let [from, to] = [a, b].map(|v| mesh.points[v as usize]);
     let place = from.lerp(to, f64::from(quarters) / 4.0);
-    let goal = mesh.surface.project(place, &sides, REACH * from.distance(to))?;
+    let goal = match towards {
+        Towards::Crease => mesh.surface.project(place, &sides, REACH * from.distance(to))?,
+        Towards::OneTube => nearest_on_tube(mesh, place, &sides)?,
+    };
     Some(CutOff { shell, sides, place, goal })
+}
+
+/// The place on the surface where two labels meet that is nearest by one tube.
+pub fn nearest_on_tube(mesh: &ImprovementMesh, place: DVec3, sides: &[Side]) -> Option<DVec3> {
+    let [Side::Label(a), Side::Label(b)] = *sides else { return None };
+    mesh.surface.nearest_on_tube(place, a, b)
 }
 
 /// Splits a chord by a vertex that goes towards the surface as far as no score falls below the bound that was not below before.
@@ -182,11 +202,11 @@ pub fn insert_in_chord(
     mesh: &mut ImprovementMesh,
     chord: Chord,
     bound: f64,
-    begin: Start,
+    (begin, towards): (Start, Towards),
 ) -> Option<(u32, [DVec3; 2])> {
     let (tets, sides, ends) = match chord {
         Chord::Edge(ends, quarters) => {
-            let CutOff { shell, sides, place, goal } = cut_of_edge(mesh, ends, quarters)?;
+            let CutOff { shell, sides, place, goal } = cut_of_edge(mesh, ends, quarters, towards)?;
             (shell, sides, [place, goal])
         }
         Chord::Face(corners, labels) => {
@@ -196,9 +216,12 @@ pub fn insert_in_chord(
             }
             let [a, b, c] = corners.map(|v| mesh.points[v as usize]);
             let middle = (a + b + c) / 3.0;
-            let goal = across(mesh, middle, (b - a).cross(c - a).normalize_or_zero(), labels)?;
             let mut sides = labels.map(Side::Label).to_vec();
             sides.sort_unstable();
+            let goal = match towards {
+                Towards::Crease => across(mesh, middle, (b - a).cross(c - a).normalize_or_zero(), labels)?,
+                Towards::OneTube => nearest_on_tube(mesh, middle, &sides)?,
+            };
             (tets, sides, [middle, goal])
         }
     };

@@ -272,7 +272,7 @@ pub fn improve(
                 mend_around(work, vertices, &effort, Some(&mut summary.counts), context)
             };
             let budget = (work.tets.len() / TETS_PER_APPROACH).max(LEAST_APPROACHES);
-            let (farthest, ways) = if has_vessels { (VESSEL_FARTHEST, Ways::All) } else { (FARTHEST, Ways::Moves) };
+            let (farthest, ways) = if has_vessels { (VESSEL_FARTHEST, Ways::Creases) } else { (FARTHEST, Ways::Moves) };
             let range = [FAR, farthest].map(|f| f * voxel);
             let bounds = ApproachBounds { range, wanted: effort.wanted, left: LEFT, around: Around::MayYield, ways };
             summary.approached += approach_surface(&mut work, bounds, budget, &mut mend)?;

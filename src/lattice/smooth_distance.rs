@@ -147,6 +147,16 @@ impl SmoothDistances {
         self.fields.get(label.index()).is_some_and(|field| !field.blocks.is_empty())
     }
 
+    /// Unit direction from the axis of the tube that a place in voxels is deepest in, for a label that tubes tell of; that of a label
+    /// outside of tubes leads inward.
+    pub fn tube_normal(&self, label: Label, place: DVec3, size: [usize; 3], spacing: DVec3) -> Option<DVec3> {
+        let field = self.fields.get(label.index())?;
+        let stencil = field.stencil(place, size, spacing)?;
+        field.spline(&stencil)?;
+        let found = field.tubes.as_ref()?.distance(place * spacing, field, &stencil)?;
+        Some(found.outward)
+    }
+
     /// Whether tubes tell the distance of a label.
     pub fn is_tubular(&self, label: Label) -> bool {
         self.fields.get(label.index()).is_some_and(|field| field.tubes.is_some())
@@ -201,10 +211,10 @@ impl LabelDistance {
         let stencil = self.stencil(place, size, spacing)?;
         let mut sample = self.spline(&stencil)?;
         if let Some(tubes) = &self.tubes
-            && let Some((exact, ahead)) = tubes.distance(place * spacing, self, &stencil)
+            && let Some(found) = tubes.distance(place * spacing, self, &stencil)
         {
-            let share = (1.0 - ahead / (CREASE * spacing.element_sum() / 3.0)).max(0.0);
-            sample.value += share * (exact - sample.value);
+            let share = (1.0 - found.ahead / (CREASE * spacing.element_sum() / 3.0)).max(0.0);
+            sample.value += share * (found.distance - sample.value);
             sample.is_depth = true;
         }
         // A missing coefficient is not a number, and so is every sum with it.
@@ -246,6 +256,17 @@ struct Stencil {
     slope: [[f64; 3]; 3],
 }
 
+/// The tube that a point is deepest in.
+#[derive(Debug, Clone, Copy)]
+struct DeepestTube {
+    /// Distance to the surface of the tubes, mm, positive inside of the label.
+    distance: f64,
+    /// How much deeper the point is in this tube than in the next, mm.
+    ahead: f64,
+    /// Unit direction in which that distance falls.
+    outward: DVec3,
+}
+
 /// The segments of the voxels around a place, each once.
 #[derive(Debug, Clone, Copy, Default)]
 struct NearSegments {
@@ -263,9 +284,8 @@ impl NearSegments {
 }
 
 impl TubeDistance {
-    /// Distance to the surface of the tubes within the bounds of the voxels, mm, positive inside of the label, and how much deeper the
-    /// point is in the deepest tube than in the next; `None` where the tubes do not tell. All blocks of the stencil are there.
-    fn distance(&self, point: DVec3, label: &LabelDistance, stencil: &Stencil) -> Option<(f64, f64)> {
+    /// The distance within the bounds of the voxels; `None` where the tubes do not tell. All blocks of the stencil are there.
+    fn distance(&self, point: DVec3, label: &LabelDistance, stencil: &Stencil) -> Option<DeepestTube> {
         let Stencil { voxel, value, .. } = stencil;
         let mut correction = 0.0;
         let mut segments = NearSegments::default();
@@ -282,28 +302,30 @@ impl TubeDistance {
             }
         }
         correction.is_finite().then(|| {
-            let (exact, ahead) = self.exact_distance(point, &segments);
-            (exact + correction, ahead)
+            let exact = self.exact_distance(point, &segments);
+            DeepestTube { distance: exact.distance + correction, ..exact }
         })
     }
 
-    /// Distance to the surface of some of the tubes' segments, and how much deeper the point is in the deepest tube than in the next.
-    fn exact_distance(&self, point: DVec3, segments: &NearSegments) -> (f64, f64) {
+    /// The distance to the surface of some of the tubes' segments.
+    fn exact_distance(&self, point: DVec3, segments: &NearSegments) -> DeepestTube {
         let mut best = [(f64::NEG_INFINITY, u32::MAX), (f64::NEG_INFINITY, u32::MAX)];
+        let mut outward = DVec3::ZERO;
         for number in &segments.numbers[..segments.count] {
             let (ends, tube) = &self.segments[*number as usize];
-            let depth = depth_in_segment(point, ends).0;
+            let (depth, part) = depth_in_segment(point, ends);
             if depth > best[0].0 {
                 if best[0].1 != *tube {
                     best[1] = best[0];
                 }
                 best[0] = (depth, *tube);
+                outward = (point - ends[0].center.lerp(ends[1].center, part)).normalize_or_zero();
             } else if *tube != best[0].1 && depth > best[1].0 {
                 best[1] = (depth, *tube);
             }
         }
-        let deepest = best[0].0;
-        (if self.is_outside { -deepest } else { deepest }, deepest - best[1].0)
+        let sign = if self.is_outside { -1.0 } else { 1.0 };
+        DeepestTube { distance: sign * best[0].0, ahead: best[0].0 - best[1].0, outward: sign * outward }
     }
 }
 

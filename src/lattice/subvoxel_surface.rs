@@ -248,6 +248,15 @@ impl<'a> SubvoxelSurface<'a> {
         }
     }
 
+    /// The place on the surface between two labels that is nearest by the tube that a point is deepest in: on one side of a crease
+    /// that [`project`](Self::project) leads into. `None` where no tubes tell.
+    pub fn nearest_on_tube(&self, point: DVec3, a: Label, b: Label) -> Option<DVec3> {
+        let (label, other) = if self.smooth.is_tubular(a) { (a, b) } else { (b, a) };
+        let outward = self.smooth.tube_normal(label, point / self.spacing, self.size, self.spacing)?;
+        let depth = self.depth(point, label, other)?;
+        Some(self.within_borders(point + depth * outward))
+    }
+
     /// The surface near a boundary, moved by the offsets.
     fn near_surface(&self, point: DVec3, a: Label, b: Label) -> Option<NearSurface> {
         let NearSurface { distance, depth, normal } = self.smooth_difference(point, a, b)?;
