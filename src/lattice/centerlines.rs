@@ -367,6 +367,24 @@ mod tests {
     }
 
     #[test]
+    fn a_line_ends_where_it_enters_another_one() {
+        // The root is at the end of one branch: the ways from the foot and from the other branch lead through that.
+        let [foot, fork] = [DVec3::new(13.0, 13.0, 6.0), DVec3::new(13.2, 12.6, 20.0)];
+        let ends = [DVec3::new(5.0, 12.0, 44.0), DVec3::new(22.0, 14.0, 36.0)];
+        let depth =
+            |p: DVec3| ends.iter().map(|end| within(p, fork, *end, 4.2)).fold(within(p, foot, fork, 5.2), f64::max);
+        let tubes = centerlines(&solid(50, DVec3::ONE, depth), &RunContext::with_threads(1).unwrap()).unwrap();
+        assert_eq!(tubes.len(), 2);
+        let is_within = |node: &&TubeNode| {
+            let nearest = tubes[0].nodes.iter().map(|other| other.center.distance(node.center));
+            nearest.fold(f64::MAX, f64::min) < 0.7 * node.radius
+        };
+        let within = tubes[1].nodes.iter().filter(is_within).count();
+        // 2 where lines end at the first voxel that both have.
+        assert!(within <= 1, "{within} {tubes:?}");
+    }
+
+    #[test]
     fn each_component_has_a_tube_and_specks_have_none() {
         let spacing = DVec3::new(0.8, 0.8, 1.5);
         let bars = [6.0, 14.0].map(|x| [DVec3::new(x, 8.0, 6.0), DVec3::new(x, 9.0, 27.0)]);

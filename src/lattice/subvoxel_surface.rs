@@ -458,6 +458,7 @@ fn inverse_error_function(value: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::image::grid::Grid;
+    use crate::lattice::test_images::{fork_distance, voxel_image};
 
     /// Label 1 in a ball, label 2 in the half of it beyond x = 10.3.
     fn split_ball(radius: f64) -> LabelImage {
@@ -516,6 +517,31 @@ mod tests {
         let sides = [Side::Label(Label(2)), Side::Border(1)];
         let found = surface.project(DVec3::new(23.9, 11.0, 12.0), &sides, 2.0).expect("the border is near");
         assert_eq!(found, DVec3::new(23.5, 11.0, 12.0));
+    }
+
+    #[test]
+    fn in_a_crease_between_tubes_depths_are_distances_and_the_nearest_place_is_on_one_of_them() {
+        let ends = [[19.0, 15.9, 5.5], [27.8, 16.7, 31.7], [9.2, 20.7, 31.7]];
+        let off = |p: DVec3| fork_distance(p, ends, 1.9);
+        let image = voxel_image(38, |p| u16::from(off(p) < 0.0));
+        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
+        let fork = DVec3::new(18.9, 17.4, 18.7);
+        let upward: DVec3 = ends[1..].iter().map(|end| (DVec3::from(*end) - fork).normalize()).sum();
+        let mut seen = 0;
+        for n in 0..60 {
+            let at = fork + upward.normalize() * (2.0 + 0.05 * f64::from(n));
+            let exact = off(at);
+            if !(0.2..1.0).contains(&exact) {
+                continue;
+            }
+            seen += 1;
+            let depth = surface.depth(at, Label(1), Label(0)).unwrap();
+            // Measured 0.03; the way into the crease is longer by 0.4.
+            assert!((depth + exact).abs() < 0.1, "{depth} {exact}");
+            let nearest = surface.nearest_on_tube(at, Label(1), Label(0)).unwrap();
+            assert!(off(nearest).abs() < 0.1 && nearest.distance(at) < exact + 0.1, "{nearest}");
+        }
+        assert!(seen > 5, "{seen}");
     }
 
     #[test]
