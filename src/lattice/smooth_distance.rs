@@ -119,9 +119,9 @@ pub struct Sample {
     pub value: f64,
     /// Where it grows; that of the spline.
     pub gradient: DVec3,
-    /// Whether the value is that of tubes: a distance also where the gradient is short. Elsewhere a short one tells that a value that
-    /// is rounded off is too small.
-    pub is_depth: bool,
+    /// Where tubes tell the value, the unit direction in which the depth in the deepest one falls, away from its axis or towards it. The
+    /// value is a distance then, also where the gradient is short; elsewhere a short one tells that it is rounded off and too small.
+    pub outward: Option<DVec3>,
 }
 
 impl SmoothDistances {
@@ -145,16 +145,6 @@ impl SmoothDistances {
     /// Whether a label has a distance of its own.
     pub fn has(&self, label: Label) -> bool {
         self.fields.get(label.index()).is_some_and(|field| !field.blocks.is_empty())
-    }
-
-    /// Unit direction from the axis of the tube that a place in voxels is deepest in, for a label that tubes tell of; that of a label
-    /// outside of tubes leads inward.
-    pub fn tube_normal(&self, label: Label, place: DVec3, size: [usize; 3], spacing: DVec3) -> Option<DVec3> {
-        let field = self.fields.get(label.index())?;
-        let stencil = field.stencil(place, size, spacing)?;
-        field.spline(&stencil)?;
-        let found = field.tubes.as_ref()?.distance(place * spacing, field, &stencil)?;
-        Some(found.outward)
     }
 
     /// Whether tubes tell the distance of a label.
@@ -215,7 +205,7 @@ impl LabelDistance {
         {
             let share = (1.0 - found.ahead / (CREASE * spacing.element_sum() / 3.0)).max(0.0);
             sample.value += share * (found.distance - sample.value);
-            sample.is_depth = true;
+            sample.outward = Some(found.outward);
         }
         // A missing coefficient is not a number, and so is every sum with it.
         sample.value.is_finite().then_some(sample)
@@ -244,7 +234,7 @@ impl LabelDistance {
                 gradient += DVec3::new(y * z * change, slope[1][j] * z * along, y * slope[2][k] * along);
             }
         }
-        Some(Sample { value: sum, gradient, is_depth: false })
+        Some(Sample { value: sum, gradient, outward: None })
     }
 }
 

@@ -252,7 +252,7 @@ impl<'a> SubvoxelSurface<'a> {
     /// that [`project`](Self::project) leads into. `None` where no tubes tell.
     pub fn nearest_on_tube(&self, point: DVec3, a: Label, b: Label) -> Option<DVec3> {
         let (label, other) = if self.smooth.is_tubular(a) { (a, b) } else { (b, a) };
-        let outward = self.smooth.tube_normal(label, point / self.spacing, self.size, self.spacing)?;
+        let outward = self.smooth.sample(label, point / self.spacing, self.size, self.spacing)?.outward?;
         let depth = self.depth(point, label, other)?;
         Some(self.within_borders(point + depth * outward))
     }
@@ -279,13 +279,13 @@ impl<'a> SubvoxelSurface<'a> {
             if (!self.smooth.has(label) && label.is_background()) || self.is_beside_tubes(label, [a, b]) {
                 continue;
             }
-            let Sample { value, gradient, is_depth } = self.smooth.sample(label, place, self.size, self.spacing)?;
+            let Sample { value, gradient, outward } = self.smooth.sample(label, place, self.size, self.spacing)?;
             let square = gradient.length_squared();
             if square > LEAST_GRADIENT * LEAST_GRADIENT {
                 let length = square.sqrt();
                 let weight = square.min(1.0).powi(GRADIENT_POWER);
                 let distance = sign * value / length;
-                let depth = if is_depth { sign * value } else { distance };
+                let depth = if outward.is_some() { sign * value } else { distance };
                 let near = NearSurface { distance, depth, normal: sign * gradient / length };
                 found[slot] = Some(LabelTerm { near, weight });
             }

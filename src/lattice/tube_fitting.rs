@@ -648,7 +648,7 @@ mod tests {
         let context = RunContext::with_threads(1).unwrap();
         fit_tubes(&mut tubes, &[], Some(&outer), &voxels, 40, &context).unwrap();
         for node in &tubes[2].nodes {
-            // Measured 0.05; 0.2 and 0.3 at both ends without.
+            // It begins up to 0.35 off.
             assert!((node.radius - 1.5).abs() < 0.1, "{node:?}");
         }
     }
