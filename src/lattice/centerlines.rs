@@ -2,7 +2,8 @@
 //!
 //! # Method
 //! For each component of the solid (26 neighbours):
-//! 1. The voxel farthest from any, within the component, is its root.
+//! 1. The voxel farthest from the boundary is its root. From the tip of a branch the way to that of the next one would go right across
+//!    the crotch where the voxels of both touch.
 //! 2. Shortest ways from the root to all voxels, where a step costs the more the nearer the boundary is: they keep to the
 //!    middle.
 //! 3. The voxel farthest from the root that no line has covered is a tip: the way from it is followed towards the root until
@@ -14,11 +15,11 @@
 //!        tip                                 tip
 //!          \      /  tip                       o      o
 //!           \    /                              \    /
-//!            \  /              ->                o  o            three tips, the first of them the root: two tubes,
-//!             |/                                 |/              the second ends where it meets the first
-//!             |                                  o
-//!            root                                |
-//!                                                o
+//!            \  /              ->                o  o            three tips, the root in the widest branch: two tubes
+//!             |/                                 |/              end where they meet the third or the root
+//!          root                                  o
+//!             |                                  |
+//!            tip                                 o
 //! ```
 //!
 //! # Source
@@ -150,28 +151,22 @@ pub fn centerlines(solid: &Solid, context: &RunContext) -> Result<Vec<Tube>> {
         if members.len() < LEAST_VOXELS {
             continue;
         }
-        let root = members[members.len() - 1] as usize;
+        let is_wider = |l: &u32, r: &u32| solid.radii[*l as usize].total_cmp(&solid.radii[*r as usize]).then(r.cmp(l));
+        let root = members.iter().copied().max_by(is_wider).unwrap_or(members[0]) as usize;
         let near_first = ways.search(root, |_| 1.0, context)?;
         ways.forget(&near_first);
         let cost = |v: usize| (unit / solid.radius(v)).powi(COST_POWER);
         let reached = ways.search(root, cost, context)?;
         for tip in near_first.iter().rev() {
             if !lines.is_covered[*tip as usize] {
-                let (line, end) = lines.follow(*tip, &ways.before);
+                let line = lines.follow(*tip, &ways.before);
                 lines.cover(solid, &line);
-                tubes.push(tube_along(solid, &line, end));
+                tubes.push(tube_along(solid, &line));
             }
         }
         ways.forget(&reached);
     }
     Ok(tubes)
-}
-
-/// How a line ends.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum LineEnd {
-    Root,
-    Joint,
 }
 
 /// Which voxels are in the balls around lines, and which are near one.
@@ -182,16 +177,16 @@ struct Lines {
 
 impl Lines {
     /// The voxels from a tip towards the root, up to the first within another line.
-    fn follow(&self, tip: u32, before: &[u32]) -> (Vec<u32>, LineEnd) {
+    fn follow(&self, tip: u32, before: &[u32]) -> Vec<u32> {
         let mut line = vec![tip];
         loop {
             let next = before[line[line.len() - 1] as usize];
             if next == NONE {
-                return (line, LineEnd::Root);
+                return line;
             }
             line.push(next);
             if self.is_within[next as usize] {
-                return (line, LineEnd::Joint);
+                return line;
             }
         }
     }
@@ -276,18 +271,15 @@ impl<'a> Ways<'a> {
 }
 
 /// The tube along a line of voxels from a tip.
-fn tube_along(solid: &Solid, line: &[u32], end: LineEnd) -> Tube {
+fn tube_along(solid: &Solid, line: &[u32]) -> Tube {
     let mut radii: Vec<f64> = line.iter().map(|v| solid.radius(*v as usize)).collect();
     radii.sort_unstable_by(f64::total_cmp);
     let (median, unit) = (radii[radii.len() / 2], solid.mean_spacing());
     let nodes: Vec<TubeNode> =
         line.iter().map(|v| TubeNode { center: solid.place(*v as usize), radius: solid.radius(*v as usize) }).collect();
-    let is_tip = |ends: [&TubeNode; 2]| ends[0].center.distance(ends[1].center) < TIP_RADII * median;
-    let mut first = nodes.iter().take_while(|n| is_tip([&nodes[0], n])).count();
+    let is_tip = |n: &&TubeNode| nodes[0].center.distance(n.center) < TIP_RADII * median;
+    let mut first = nodes.iter().take_while(is_tip).count();
     let mut last = nodes.len();
-    if end == LineEnd::Root {
-        last -= nodes.iter().rev().take_while(|n| is_tip([&nodes[nodes.len() - 1], n])).count();
-    }
     if first >= last {
         // As long as it is wide: one ball in its middle.
         first = nodes.len() / 2;
@@ -368,7 +360,7 @@ mod tests {
 
     #[test]
     fn a_line_ends_where_it_enters_another_one() {
-        // The root is at the end of one branch: the ways from the foot and from the other branch lead through that.
+        // The root is in the foot: the ways from both branches run through half of that.
         let [foot, fork] = [DVec3::new(13.0, 13.0, 6.0), DVec3::new(13.2, 12.6, 20.0)];
         let ends = [DVec3::new(5.0, 12.0, 44.0), DVec3::new(22.0, 14.0, 36.0)];
         let depth =
