@@ -4,7 +4,7 @@
 //! 1. For each face between two labels, its middle and those of its edges are compared with the sub-voxel surface of these
 //!    labels. Edges whose middle is off by more than a tolerance are listed, and faces whose middle is farther off than those
 //!    of their edges, the farthest off first.
-//!    Edges of vessels are looked at in their quarters too, for creases.
+//!    Edges of vessels are looked at where they are farthest off: creases pass anywhere.
 //! 2. Each is split; the new vertex goes from the place towards the surface as far as the scores around it allow
 //!    ([`insert_between`]). Later rounds of the improvement bring it the rest of the way. The surface is met
 //!    across the face: a flat end of a vessel has its middle on the axis, where all of the wall is equally near.
@@ -30,7 +30,7 @@ use rayon::prelude::*;
 use crate::index::Label;
 use crate::lattice::element_score::Threshold;
 use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace};
-use crate::lattice::local_transformations::{insert_between, sides_of_edge};
+use crate::lattice::local_transformations::{farthest_on_edge, insert_between, sides_of_edge};
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::surface_edge_flips::flip_surface_edge;
 
@@ -45,22 +45,22 @@ const REACH: f64 = 0.75;
 const STEPS_ACROSS: usize = 8;
 const STEP_ACROSS: f64 = 0.25;
 
-/// Where an edge is also looked at a quarter of it from its ends, how far off its middle is, in tolerances, and how much farther, in
-/// what the middle is off, such a place is for the edge to be split there.
+/// How far off the middle of an edge is, in tolerances, for it to be looked at in other places too.
 const LEAST_MIDDLE: f64 = 0.5;
-const CLEARLY: f64 = 1.2;
 
 /// Where edges are looked at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Places {
+    /// In its middle.
     Middles,
-    Quarters,
+    /// Where it is farthest off.
+    Farthest,
 }
 
 /// What is split, by its vertices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Chord {
-    /// Its ends, and how many quarters of it lie before the place that is looked at.
+    /// Its ends, the smaller first, and how many eighths of it lie before the place that is looked at.
     Edge([u32; 2], u8),
     /// In outward order, and the labels of both sides.
     Face([u32; 3], [Label; 2]),
@@ -101,7 +101,7 @@ pub fn flip(mesh: &mut ImprovementMesh, chord: &Chord, bound: f64) -> bool {
 
 /// How far off and vertices of what is to be split, the farthest first.
 pub fn chords(mesh: &ImprovementMesh, tolerance: f64) -> Vec<(f64, Chord)> {
-    let places = if mesh.surface.has_mostly_vessels() { Places::Quarters } else { Places::Middles };
+    let places = if mesh.surface.has_mostly_vessels() { Places::Farthest } else { Places::Middles };
     let of_vertex = |v: u32| {
         let star = mesh.stars().of(v).unwrap_or(&[]);
         star.iter().flat_map(move |face| of_face(mesh, v, face, tolerance, places)).flatten()
@@ -125,19 +125,22 @@ fn of_face(
 ) -> [Option<(f64, Chord)>; 2] {
     let sides = mesh.labels_beside(face);
     let [w, u] = face.others;
+    // Every edge is found once, in both directions, where the faces beside it are taken around the same label.
+    let next = if sides[0] < sides[1] { w } else { u };
     let at = |v: u32| mesh.points[v as usize];
     let off = |middle: DVec3| mesh.surface.depth(middle, sides[0], sides[1]).map(f64::abs);
     let edge = |v: u32, w: u32| off(at(v).midpoint(at(w)));
     let is_far = |off: &f64| *off > tolerance;
-    let along = (w > v).then(|| {
-        let middle = (edge(v, w)?, 2);
-        // A crease has no middle: an edge of a vessel may cross one anywhere.
-        let is_asked = places == Places::Quarters && middle.0 > LEAST_MIDDLE * tolerance;
-        let quarters: &[u8] = if is_asked { &[1, 3] } else { &[] };
-        let at_quarter = |quarter: &u8| Some((off(at(v).lerp(at(w), f64::from(*quarter) / 4.0))?, *quarter));
-        let beside = quarters.iter().filter_map(at_quarter).filter(|(far, _)| *far > CLEARLY * middle.0);
-        let (far, quarter) = beside.fold(middle, |l, r| if r.0 > l.0 { r } else { l });
-        is_far(&far).then_some((far, Chord::Edge([v, w], quarter)))
+    let along = (next > v).then(|| {
+        let middle = edge(v, next)?;
+        let place = |eighths: u8| at(v).lerp(at(next), f64::from(eighths) / 8.0);
+        let (far, eighths) = match places {
+            Places::Farthest if middle > LEAST_MIDDLE * tolerance => {
+                farthest_on_edge(|eighths| off(place(eighths)).unwrap_or(0.0))
+            }
+            _ => (middle, 4),
+        };
+        is_far(&far).then_some((far, Chord::Edge([v, next], eighths)))
     });
     // Where all vertices are on a border plane the face lies in it.
     let across = (w > v && u > v && !is_in_border(mesh, [v, w, u])).then(|| {
@@ -174,15 +177,15 @@ pub struct CutOff {
     pub goal: DVec3,
 }
 
-/// What an edge cuts off at some quarters of it; `None` where the edge is no more, or no surface is near.
-pub fn cut_of_edge(mesh: &ImprovementMesh, [a, b]: [u32; 2], quarters: u8, towards: Towards) -> Option<CutOff> {
+/// What an edge cuts off after some eighths of it; `None` where the edge is no more, or no surface is near.
+pub fn cut_of_edge(mesh: &ImprovementMesh, [a, b]: [u32; 2], eighths: u8, towards: Towards) -> Option<CutOff> {
     let shell = mesh.shell(a, b);
     if shell.is_empty() {
         return None; // Another split has taken it.
     }
     let sides = sides_of_edge(mesh, a, b, &shell);
     let [from, to] = [a, b].map(|v| mesh.points[v as usize]);
-    let place = from.lerp(to, f64::from(quarters) / 4.0);
+    let place = from.lerp(to, f64::from(eighths) / 8.0);
     let goal = match towards {
         Towards::Crease => mesh.surface.project(place, &sides, REACH * from.distance(to))?,
         Towards::OneTube => nearest_on_tube(mesh, place, &sides)?,
@@ -205,8 +208,8 @@ pub fn insert_in_chord(
     (begin, towards): (Start, Towards),
 ) -> Option<(u32, [DVec3; 2])> {
     let (tets, sides, ends) = match chord {
-        Chord::Edge(ends, quarters) => {
-            let CutOff { shell, sides, place, goal } = cut_of_edge(mesh, ends, quarters, towards)?;
+        Chord::Edge(ends, eighths) => {
+            let CutOff { shell, sides, place, goal } = cut_of_edge(mesh, ends, eighths, towards)?;
             (shell, sides, [place, goal])
         }
         Chord::Face(corners, labels) => {
@@ -271,6 +274,7 @@ mod tests {
     use crate::image::label_image::LabelImage;
     use crate::lattice::options::{Options, PARAMETERS};
     use crate::lattice::test_images::voxel_image;
+    use crate::lattice::test_meshes::with_edge_on_ball;
     use crate::mesh::validation::check_mixed_mesh;
     use crate::parameters::ParameterSet;
 
@@ -284,6 +288,18 @@ mod tests {
             |t: &[crate::index::VertexId; 3]| t.iter().map(|v| output.mesh.points[v.index()]).sum::<DVec3>() / 3.0;
         let farthest = output.mesh.boundary.triangles.iter().map(|t| distance(middle(t)).abs()).fold(0.0, f64::max);
         (report.statistics().value("improvement.chords").unwrap(), farthest)
+    }
+
+    #[test]
+    fn an_edge_between_labels_is_found_whichever_tets_come_first() {
+        // The tet that comes first of those at a face is its inner one: of one label at both faces, or of two.
+        for order in [[0, 1, 2, 3], [2, 3, 0, 1], [0, 3, 1, 2], [3, 0, 2, 1], [1, 2, 3, 0]] {
+            with_edge_on_ball(0.7, order, |mut mesh| {
+                mesh.refresh_stars();
+                let found = chords(&mesh, 0.5).into_iter().filter(|(_, chord)| *chord == Chord::Edge([0, 1], 4));
+                assert_eq!(found.count(), 1, "{order:?}");
+            });
+        }
     }
 
     #[test]

@@ -72,6 +72,8 @@ pub mod surface_relabelling;
 pub mod surface_stars;
 #[cfg(test)]
 mod test_images;
+#[cfg(test)]
+mod test_meshes;
 pub mod topology_differences;
 #[cfg(test)]
 mod topology_tests;

@@ -169,8 +169,8 @@ fn try_way(
             }
             Ok(is_flipped)
         }
-        (Way::Slide(end), Place::Between(Chord::Edge(ends, quarters))) => {
-            slide(mesh, (ends, quarters), end, bounds, near, mend)
+        (Way::Slide(end), Place::Between(Chord::Edge(ends, eighths))) => {
+            slide(mesh, (ends, eighths), end, bounds, near, mend)
         }
         (Way::Flip | Way::Slide(_), _) => Ok(false),
         (Way::Move(towards), _) => bring_nearer(mesh, (place, towards), bounds, near, mend),
@@ -295,14 +295,14 @@ fn bring_nearer(
 /// Whether the surface at an edge has come nearer with an end that moved along the surface: no new vertex is in the way of others.
 fn slide(
     mesh: &mut ImprovementMesh,
-    (ends, quarters): ([u32; 2], u8),
+    (ends, eighths): ([u32; 2], u8),
     end: usize,
     &ApproachBounds { left, .. }: &ApproachBounds,
     near: &[u32],
     mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
 ) -> Result<bool> {
     let v = ends[end];
-    let Some(cut) = cut_of_edge(mesh, ends, quarters, Towards::Crease) else { return Ok(false) };
+    let Some(cut) = cut_of_edge(mesh, ends, eighths, Towards::Crease) else { return Ok(false) };
     // Where more labels meet it would leave their line.
     if mesh.fixed[v as usize] || mesh.sides(v) != cut.sides {
         return Ok(false);
@@ -367,7 +367,7 @@ mod tests {
         let of_face = |[a, b, c]: [DVec3; 3]| [[a, b], [b, c], [c, a]].map(of_edge).into_iter().fold(0.0, f64::max);
         let triangles = &output.mesh.boundary.triangles;
         let farthest = triangles.iter().map(|t| of_face(t.map(at))).fold(0.0, f64::max);
-        // Measured 0.30; 0.38 with new vertices alone.
-        assert!(farthest < 0.35, "{farthest}");
+        // Measured 0.35; 0.39 where nothing is approached.
+        assert!(farthest < 0.37, "{farthest}");
     }
 }

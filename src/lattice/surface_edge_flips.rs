@@ -105,44 +105,12 @@ fn may_join(mesh: &ImprovementMesh, [c, d]: [u32; 2], arcs: [&Arc; 2]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::context::RunContext;
     use crate::geometry::tetrahedron::volume6;
-    use crate::index::VertexId;
-    use crate::lattice::boundary_targets::SourcePoints;
-    use crate::lattice::candidate_mesh::CandidateMesh;
-    use crate::lattice::face_adjacency::neighbors_of;
-    use crate::lattice::subvoxel_surface::SubvoxelSurface;
-    use crate::lattice::test_images::voxel_image;
+    use crate::lattice::test_meshes::with_edge_on_ball;
     use glam::DVec3;
 
-    const RADIUS: f64 = 5.0;
-
-    /// Works on four tets around the edge 0 1 between points of a ball, the first two outside of it (label 2), the others inside
-    /// (label 1); 0 and 1 are `half` rad from its top, the vertices 2 and 3 across 0.35 rad.
-    fn with_edge_on_ball<T>(half: f64, work: impl FnOnce(ImprovementMesh) -> T) -> T {
-        let center = DVec3::new(8.2, 7.9, 8.1);
-        let on_ball = |x: f64, z: f64| {
-            let angle = x.hypot(z);
-            center + RADIUS * DVec3::new(x / angle * angle.sin(), angle.cos(), z / angle * angle.sin())
-        };
-        let mut points = vec![on_ball(0.0, half), on_ball(0.0, -half), on_ball(0.35, 0.0), on_ball(-0.35, 0.0)];
-        points.extend([4.0, -4.0].map(|up| center + DVec3::new(0.0, RADIUS + up, 0.0)));
-        let positive = |mut tet: [u32; 4]| {
-            if volume6(tet.map(|v| points[v as usize])) < 0.0 {
-                tet.swap(2, 3);
-            }
-            tet
-        };
-        let rows = [[0, 1, 2, 4], [0, 1, 3, 4], [0, 1, 2, 5], [0, 1, 3, 5]].map(positive);
-        let tets: Vec<[VertexId; 4]> = rows.iter().map(|tet| tet.map(VertexId)).collect();
-        let tet_labels = vec![Label(2), Label(2), Label(1), Label(1)];
-        let image = voxel_image(17, |p| if p.distance(center) < RADIUS { 1 } else { 2 });
-        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
-        let neighbors = neighbors_of(&rows, points.len()).unwrap();
-        let sources = SourcePoints::new(&points, &tets, &tet_labels, &neighbors, &surface, &[]);
-        let mut mesh = CandidateMesh { points, tets, tet_labels, ..CandidateMesh::default() };
-        work(ImprovementMesh::new(&mut mesh, &sources, surface))
-    }
+    /// Both outer tets first.
+    const ORDER: [usize; 4] = [0, 1, 2, 3];
 
     fn volume_of(mesh: &ImprovementMesh, label: Label) -> f64 {
         let of_label = (0..mesh.tets.len() as u32).filter(|t| mesh.is_live(*t) && mesh.labels[*t as usize] == label);
@@ -151,7 +119,7 @@ mod tests {
 
     #[test]
     fn the_long_diagonal_over_a_ball_is_flipped_and_the_space_stays_filled() {
-        with_edge_on_ball(0.7, |mut mesh| {
+        with_edge_on_ball(0.7, ORDER, |mut mesh| {
             let before = [1, 2].map(|label| volume_of(&mesh, Label(label)));
             assert!(flip_surface_edge(&mut mesh, 0, 1, 1.0));
             assert!(mesh.shell(0, 1).is_empty() && mesh.shell(2, 3).len() == 4);
@@ -165,8 +133,8 @@ mod tests {
 
     #[test]
     fn a_flip_that_brings_nothing_or_costs_too_much_is_not_made() {
-        with_edge_on_ball(0.3, |mut mesh| assert!(!flip_surface_edge(&mut mesh, 0, 1, 1.0)));
-        with_edge_on_ball(0.7, |mut mesh| {
+        with_edge_on_ball(0.3, ORDER, |mut mesh| assert!(!flip_surface_edge(&mut mesh, 0, 1, 1.0)));
+        with_edge_on_ball(0.7, ORDER, |mut mesh| {
             let lowest = mesh.lowest(&mesh.shell(0, 1));
             assert!(lowest > 1.0);
             // The outer tets would be flat on the other diagonal.
@@ -177,7 +145,7 @@ mod tests {
 
     #[test]
     fn an_edge_within_a_label_is_not_flipped() {
-        with_edge_on_ball(0.7, |mut mesh| {
+        with_edge_on_ball(0.7, ORDER, |mut mesh| {
             [0, 1].into_iter().for_each(|t| mesh.relabel(t, Label(1)));
             assert!(!flip_surface_edge(&mut mesh, 0, 1, 1.0));
         });

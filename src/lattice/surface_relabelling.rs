@@ -173,14 +173,10 @@ fn may_go_over(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
 mod tests {
     use super::*;
     use crate::context::RunContext;
-    use crate::geometry::tetrahedron::volume6;
     use crate::index::VertexId;
-    use crate::lattice::boundary_targets::SourcePoints;
-    use crate::lattice::candidate_mesh::CandidateMesh;
-    use crate::lattice::face_adjacency::neighbors_of;
     use crate::lattice::options::{Options, PARAMETERS};
-    use crate::lattice::subvoxel_surface::SubvoxelSurface;
     use crate::lattice::test_images::{fork_distance, voxel_image};
+    use crate::lattice::test_meshes::with_tets;
     use crate::mesh::validation::check_mixed_mesh;
     use crate::parameters::ParameterSet;
 
@@ -197,22 +193,11 @@ mod tests {
         let middle = DVec3::new(3.7, 4.0, 4.0);
         let inner = corners.map(|c| middle + 0.3 * c);
         let points: Vec<DVec3> = inner.into_iter().chain(corners.map(|c| middle - 2.0 * c)).collect();
-        let positive = |mut tet: [u32; 4]| {
-            if volume6(tet.map(|v| points[v as usize])) < 0.0 {
-                tet.swap(2, 3);
-            }
-            tet
-        };
-        let of_set = |set: usize| positive([0, 1, 2, 3].map(|v| if set >> v & 1 == 1 { v } else { 4 + v }));
-        let rows: Vec<[u32; 4]> = (1..16).map(of_set).collect();
-        let tets: Vec<[VertexId; 4]> = rows.iter().map(|tet| tet.map(VertexId)).collect();
-        let tet_labels: Vec<Label> = (1..16).map(|set| Label(1 + u16::from(sets.contains(&set)))).collect();
+        let of_set = |set: usize| [0, 1, 2, 3].map(|v| if set >> v & 1 == 1 { v } else { 4 + v });
+        let labelled: Vec<([u32; 4], Label)> =
+            (1..16).map(|set| (of_set(set), Label(1 + u16::from(sets.contains(&set))))).collect();
         let image = voxel_image(9, |p| if p.x < 4.5 { 2 } else { 1 });
-        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
-        let neighbors = neighbors_of(&rows, points.len()).unwrap();
-        let sources = SourcePoints::new(&points, &tets, &tet_labels, &neighbors, &surface, &[]);
-        let mut mesh = CandidateMesh { points, tets, tet_labels, ..CandidateMesh::default() };
-        work(ImprovementMesh::new(&mut mesh, &sources, surface))
+        with_tets(points, &labelled, &image, work)
     }
 
     #[test]

@@ -1,0 +1,53 @@
+//! Meshes of a few tets for tests.
+
+use glam::DVec3;
+
+use crate::context::RunContext;
+use crate::geometry::tetrahedron::volume6;
+use crate::image::label_image::LabelImage;
+use crate::index::{Label, VertexId};
+use crate::lattice::boundary_targets::SourcePoints;
+use crate::lattice::candidate_mesh::CandidateMesh;
+use crate::lattice::face_adjacency::neighbors_of;
+use crate::lattice::improvement_mesh::ImprovementMesh;
+use crate::lattice::subvoxel_surface::SubvoxelSurface;
+use crate::lattice::test_images::voxel_image;
+
+/// Works on some tets, turned so that their volume is positive, each with a label, beside the surfaces of an image.
+pub fn with_tets<T>(
+    points: Vec<DVec3>,
+    labelled: &[([u32; 4], Label)],
+    image: &LabelImage,
+    work: impl FnOnce(ImprovementMesh) -> T,
+) -> T {
+    let positive = |mut tet: [u32; 4]| {
+        if volume6(tet.map(|v| points[v as usize])) < 0.0 {
+            tet.swap(2, 3);
+        }
+        tet
+    };
+    let rows: Vec<[u32; 4]> = labelled.iter().map(|(tet, _)| positive(*tet)).collect();
+    let tets: Vec<[VertexId; 4]> = rows.iter().map(|tet| tet.map(VertexId)).collect();
+    let tet_labels: Vec<Label> = labelled.iter().map(|(_, label)| *label).collect();
+    let surface = SubvoxelSurface::new(image, &RunContext::with_threads(1).unwrap()).unwrap();
+    let neighbors = neighbors_of(&rows, points.len()).unwrap();
+    let sources = SourcePoints::new(&points, &tets, &tet_labels, &neighbors, &surface, &[]);
+    let mut mesh = CandidateMesh { points, tets, tet_labels, ..CandidateMesh::default() };
+    work(ImprovementMesh::new(&mut mesh, &sources, surface))
+}
+
+/// Works on four tets around the edge 0 1 between points of a ball of 5 mm, two outside of it (label 2), two inside (label 1), in
+/// the given order of these; 0 and 1 are `half` rad from its top, the vertices 2 and 3 across 0.35 rad.
+pub fn with_edge_on_ball<T>(half: f64, order: [usize; 4], work: impl FnOnce(ImprovementMesh) -> T) -> T {
+    let (center, radius) = (DVec3::new(8.2, 7.9, 8.1), 5.0);
+    let on_ball = |x: f64, z: f64| {
+        let angle = x.hypot(z);
+        center + radius * DVec3::new(x / angle * angle.sin(), angle.cos(), z / angle * angle.sin())
+    };
+    let mut points = vec![on_ball(0.0, half), on_ball(0.0, -half), on_ball(0.35, 0.0), on_ball(-0.35, 0.0)];
+    points.extend([4.0, -4.0].map(|up| center + DVec3::new(0.0, radius + up, 0.0)));
+    let tets = [([0, 1, 2, 4], 2), ([0, 1, 3, 4], 2), ([0, 1, 2, 5], 1), ([0, 1, 3, 5], 1)];
+    let labelled = order.map(|n| (tets[n].0, Label(tets[n].1)));
+    let image = voxel_image(17, |p| if p.distance(center) < radius { 1 } else { 2 });
+    with_tets(points, &labelled, &image, work)
+}
