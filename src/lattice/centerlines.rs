@@ -50,6 +50,11 @@ const COST_POWER: i32 = 2;
 const COVERED_RADII: f64 = 1.2;
 const COVERED_VOXELS: f64 = 1.0;
 
+/// How much farther the balls around a line reach than its voxels are from the boundary, in voxels: lines go beside the axis. In
+/// vessels of 1.5 voxels radius two may run side by side for as long as a whole vessel without. Of 37 trees of vessels the fitted
+/// tubes are off by more than 0.3 voxel at 30 places with 0, 15 with 0.3, 16 with 0.5.
+const WITHIN_VOXELS: f64 = 0.3;
+
 /// How far from its tip a tube begins, in its median radii.
 const TIP_RADII: f64 = 0.8;
 
@@ -204,7 +209,7 @@ impl Lines {
                         let Some(near) = solid.index.get([i, j, k]) else { continue };
                         let distance = solid.place(near).distance(center);
                         self.is_covered[near] |= distance <= reach;
-                        self.is_within[near] |= distance <= radius;
+                        self.is_within[near] |= distance <= radius + WITHIN_VOXELS * solid.mean_spacing();
                     }
                 }
             }
