@@ -355,19 +355,23 @@ mod tests {
     }
 
     #[test]
-    fn the_crease_of_a_fork_is_met() {
-        let ends = [[19.0, 15.9, 5.5], [27.8, 16.7, 31.7], [9.2, 20.7, 31.7]];
-        let off = |p: DVec3| fork_distance(p, ends, 1.9);
-        let image = voxel_image(38, |p| u16::from(off(p) < 0.0));
-        let options = Options::from_parameters(&ParameterSet::new(PARAMETERS)).unwrap();
-        let (output, _) = crate::lattice::run(&image, &options, &RunContext::with_threads(1).unwrap()).unwrap();
-        let at = |v: crate::index::VertexId| output.mesh.points[v.index()];
-        let of_edge =
-            |[a, b]: [DVec3; 2]| (0..=8).map(|n| off(a.lerp(b, f64::from(n) / 8.0)).abs()).fold(0.0, f64::max);
-        let of_face = |[a, b, c]: [DVec3; 3]| [[a, b], [b, c], [c, a]].map(of_edge).into_iter().fold(0.0, f64::max);
-        let triangles = &output.mesh.boundary.triangles;
-        let farthest = triangles.iter().map(|t| of_face(t.map(at))).fold(0.0, f64::max);
-        // Measured 0.35; 0.39 where nothing is approached.
-        assert!(farthest < 0.37, "{farthest}");
+    fn the_creases_of_forks_are_met() {
+        let of_fork = |turn: f64| {
+            let end = |angle: f64, z: f64| [18.9 + 9.6 * angle.cos(), 17.4 + 9.6 * angle.sin(), z];
+            let ends = [[18.9, 16.2, 5.5], end(turn, 31.7), end(turn + 2.8, 31.2)];
+            let off = |p: DVec3| fork_distance(p, ends, 1.9);
+            let image = voxel_image(38, |p| u16::from(off(p) < 0.0));
+            let options = Options::from_parameters(&ParameterSet::new(PARAMETERS)).unwrap();
+            let (output, _) = crate::lattice::run(&image, &options, &RunContext::with_threads(1).unwrap()).unwrap();
+            let at = |v: crate::index::VertexId| output.mesh.points[v.index()];
+            let of_edge =
+                |[a, b]: [DVec3; 2]| (0..=8).map(|n| off(a.lerp(b, f64::from(n) / 8.0)).abs()).fold(0.0, f64::max);
+            let of_face = |[a, b, c]: [DVec3; 3]| [[a, b], [b, c], [c, a]].map(of_edge).into_iter().fold(0.0, f64::max);
+            output.mesh.boundary.triangles.iter().map(|t| of_face(t.map(at))).fold(0.0, f64::max)
+        };
+        let farthest = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5].map(of_fork);
+        let mean = farthest.iter().sum::<f64>() / farthest.len() as f64;
+        // Measured 0.360; 0.418 where nothing is approached.
+        assert!(mean < 0.37, "{mean} {farthest:?}");
     }
 }
