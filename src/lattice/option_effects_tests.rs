@@ -215,6 +215,9 @@ fn values_out_of_range_are_refused_as_parameter_values() {
         &[("mixed-elements", "1"), ("shape-functions", "quadratic")],
         &[("fixed-point", "1,2,inf")],
         &[("duplicate-interface", "1")],
+        &[("duplicate-interface", "1,1")],
+        &[("duplicate-interface", "1,7")],
+        &[("duplicate-interface", "7,*")],
     ];
     for case in cases {
         let result = run_with(case);

@@ -440,9 +440,10 @@ fn duplicated_interfaces(set: &ParameterSet) -> Result<Vec<DuplicatedInterface>>
             "*" => None,
             number => Some(number.parse().ok()?),
         };
-        Some(DuplicatedInterface { first: first.trim().parse().ok()?, second })
+        let first = first.trim().parse().ok()?;
+        (second != Some(first)).then_some(DuplicatedInterface { first, second })
     };
-    texts(set, "duplicate-interface", "A,B or A,*", parse)
+    texts(set, "duplicate-interface", "A,B (two labels) or A,*", parse)
 }
 
 fn texts<T>(set: &ParameterSet, name: &str, form: &str, parse: impl Fn(&str) -> Option<T>) -> Result<Vec<T>> {

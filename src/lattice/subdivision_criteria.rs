@@ -67,7 +67,7 @@ impl Targets {
     /// The targets of an image whose compact label `l` stands for the caller's value `values[l]`.
     ///
     /// # Errors
-    /// [`Error::ParameterValue`] for a value given to a label that the image does not have, or sizes that cross.
+    /// [`Error::ParameterValue`] for a label that is named in an option and not in the image, or sizes that cross.
     pub fn new(values: &[i32], options: &Options) -> Result<Self> {
         let known = |label: i64| label != 0 && values.iter().any(|v| i64::from(*v) == label);
         let check = |name: &str, labels: Vec<i64>| match labels.into_iter().find(|l| !known(*l)) {
@@ -83,6 +83,8 @@ impl Targets {
         check("poissons-ratio", options.poissons_ratio.values.iter().map(|(l, _)| *l).collect())?;
         check("max-element-size", labels(&options.max_element_size.values))?;
         check("min-element-size", labels(&options.min_element_size.values))?;
+        let interfaces = options.duplicated_interfaces.iter();
+        check("duplicate-interface", interfaces.flat_map(|i| [Some(i.first), i.second]).flatten().collect())?;
         let per_label = |of: &dyn Fn(i32) -> f64| values.iter().map(|v| of(*v)).collect::<Vec<f64>>();
         let mut targets = Self {
             fidelity: per_label(&|v| options.fidelity.of(v)),
