@@ -10,7 +10,8 @@
 //! last handle of a pool is dropped its threads are joined, so that a host can unload the library's data safely.
 //!
 //! # Limits
-//! The cancellation flag is the one atomic outside `parallel/`: this module stands below it.
+//! The cancellation flag is the one atomic outside `parallel/`: this module stands below it. Between two polls of the lattice engine
+//! lies at most one pass over all elements: half a second on two cores at 2.4 million tets, more than the 0.2 s of smaller meshes.
 
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};

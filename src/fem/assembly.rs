@@ -41,6 +41,7 @@ impl ModelPattern {
     pub fn new(mesh: &ElementMesh, context: &RunContext) -> Result<Self> {
         context.install(|| {
             let incidence = Incidence::new(mesh.points.len(), mesh.offsets, mesh.connectivity)?;
+            context.check()?;
             let pattern = Pattern::from_elements(&incidence, mesh.offsets, mesh.connectivity);
             Ok(Self { incidence, pattern })
         })
@@ -63,9 +64,14 @@ pub fn assemble_stiffness(
     if let Some(element) = context.install(|| first_inverted(mesh)) {
         return Err(Error::argument("mesh", format!("element {element} has no positive volume")));
     }
+    context.check()?;
     let mut matrix = BlockCsr::zero(model.pattern.clone());
     context.install(|| {
         matrix.fill_rows(|pattern, rows, blocks| {
+            // What is left undone is never seen: the check below fails too.
+            if context.check().is_err() {
+                return;
+            }
             fill_rows(mesh, &model.incidence, &materials, formulation, pattern, rows, blocks);
         });
     });

@@ -125,6 +125,7 @@ pub fn refine(
     let mut rounds = Rounds { input, components, totals, face_components: None, euler, smooths, lost, report, context };
     let elements = rounds.run(&mut lattice)?;
     let lost = rounds.lost;
+    context.check()?;
     report.set("lattice.level", f64::from(lattice.deepest_level()));
     report.set("lattice.spacing", input.spacing);
     let mut cubes = Vec::new();
@@ -212,11 +213,13 @@ impl Rounds<'_> {
             // What bends in a leaf was marked in the round before.
             let is_straight = |leaf: usize| known.is_some() && lattice.unchanged[leaf] != CHANGED;
             let mut marked = self.mark(lattice, &elements, &found, &deficit, finest, is_straight);
+            self.context.check()?;
             // A round costs as much for a few leaves as for all: what relabelling lacks joins a few marks.
             if !marks_many(&marked) {
                 let by_centroid = elements.labels.clone();
                 let mut neighbors = self.neighbors(lattice, &elements, known)?;
                 let relabelled = self.relabel(lattice, &mut elements, &neighbors, |_| false);
+                self.context.check()?;
                 let at_centroid = found;
                 let mut found = self.recount(&at_centroid, &by_centroid, lattice, &elements)?;
                 let after = self.deficit(&found);
@@ -230,6 +233,7 @@ impl Rounds<'_> {
                     }
                 }
                 deficit = self.deficit(&found);
+                self.context.check()?;
                 if stray_rounds > 0 && !marks_many(&marked) {
                     let targets = self.input.targets;
                     let mut unreached =
@@ -347,6 +351,7 @@ impl Rounds<'_> {
     ) -> Result<Vec<[u32; 4]>> {
         let vertices = lattice.vertices.positions.len();
         let known = known.filter(|known| changes_few(&known.numbers));
+        self.context.check()?;
         self.report.timed("adjacency", || match known {
             Some(Known { numbers, neighbors }) => neighbors_after(&neighbors, &numbers, &elements.tets),
             None => neighbors_of(&elements.tets, vertices),
@@ -395,6 +400,7 @@ impl Rounds<'_> {
         let vertices = lattice.vertices.positions.len();
         let unchanged = elements.labels.clone();
         let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices);
+        self.context.check()?;
         let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
         let voxels_lost = |labels: &[Label], changed: &[u32], label: Label| {
             let of_element = |e: &u32| voxels_of(lattice, &elements.tets[*e as usize], labels[*e as usize]);
@@ -402,6 +408,7 @@ impl Rounds<'_> {
         };
         // Where the changes cost too many voxels all told, those that cost none remain.
         for most_lost in [usize::MAX, 0] {
+            self.context.check()?;
             let may_lose = |labels: &[Label], changed: &[u32], label: Label| {
                 voxels_lost(labels, changed, label).filter(|lost| *lost <= most_lost)
             };
@@ -513,6 +520,7 @@ impl Rounds<'_> {
             if pinches.vertices.is_empty() {
                 break;
             }
+            self.context.check()?;
             let joinable = {
                 let regions = regions_of(&elements.labels, &neighbors);
                 let surplus = self.surplus(&regions);
@@ -520,6 +528,7 @@ impl Rounds<'_> {
                 number_by_image(&mut joinable, &regions, lattice, elements, &self.components);
                 joinable
             };
+            self.context.check()?;
             let extent = if round < CARVING_ROUNDS { Extent::NearLabel } else { Extent::Whole };
             let Carved { vertices, numbers } =
                 carve(lattice, elements, &neighbors, &pinches, &joinable, &self.euler, extent);

@@ -27,6 +27,8 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::element_score::Threshold;
 use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace};
@@ -56,6 +58,9 @@ enum Places {
     /// Where it is farthest off.
     Farthest,
 }
+
+/// Chords between two looks at whether the run is cancelled.
+const CHORDS_PER_CHECK: usize = 256;
 
 /// What is split, by its vertices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -87,11 +92,18 @@ pub enum Start {
 
 /// Splits surface edges and faces whose middle is off by more than `tolerance` (mm); `bound` is the score that may be spent,
 /// degrees. The stars of the mesh are up to date. Returns how many were split.
-pub fn split_chords(mesh: &mut ImprovementMesh, tolerance: f64, bound: f64) -> usize {
-    let far = chords(mesh, tolerance);
-    far.into_iter()
-        .filter(|(_, chord)| insert_in_chord(mesh, *chord, bound, (Start::Nearer, Towards::Crease)).is_some())
-        .count()
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn split_chords(mesh: &mut ImprovementMesh, tolerance: f64, bound: f64, context: &RunContext) -> Result<usize> {
+    let mut split = 0;
+    for (at, (_, chord)) in chords(mesh, tolerance).into_iter().enumerate() {
+        if at % CHORDS_PER_CHECK == 0 {
+            context.check()?;
+        }
+        split += usize::from(insert_in_chord(mesh, chord, bound, (Start::Nearer, Towards::Crease)).is_some());
+    }
+    Ok(split)
 }
 
 /// Flips a chord that is an edge.
@@ -270,7 +282,6 @@ pub fn place_first(mesh: &mut ImprovementMesh, v: u32, middle: DVec3, goal: DVec
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::context::RunContext;
     use crate::image::label_image::LabelImage;
     use crate::lattice::options::{Options, PARAMETERS};
     use crate::lattice::test_images::voxel_image;

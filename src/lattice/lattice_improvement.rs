@@ -175,6 +175,9 @@ const LARGEST_SEARCH: usize = 20_000;
 /// Width of a class of tets that are worked on in the order of their numbers, degrees.
 const SCORE_CLASS: f64 = 4.0;
 
+/// Vertices between two looks at whether the run is cancelled.
+const VERTICES_PER_CHECK: usize = 1024;
+
 /// Largest offset of a label's surface, in smallest spacings.
 const LARGEST_OFFSET: f64 = 0.5;
 
@@ -238,8 +241,10 @@ pub fn improve(
     let wanted = WANTED.max(options.min_dihedral_angle);
     let has_vessels = surface.has_mostly_vessels();
     let beyond = RelabellingBounds { tolerance: BEYOND * voxel, one_inside: has_vessels, least_score: 0.0 };
+    context.check()?;
     let mut work = ImprovementMesh::new(mesh, sources, surface);
     work.set_lattice(lattice);
+    context.check()?;
     summary.low_before = low_tets(&work, wanted).len();
     let advance = |passes: usize| {
         let shares = (progress_shares::DEFORMED, progress_shares::IMPROVED);
@@ -249,6 +254,7 @@ pub fn improve(
         advance(round);
         if RENUMBERED_ROUNDS.contains(&round) {
             work.renumber_along_curve(mesh)?;
+            context.check()?;
         }
         let may_transform = options.transformations == Transformations::Local;
         let surfaces = if round + YIELDING_ROUNDS >= ROUNDS { Surfaces::MayYield } else { Surfaces::Stay };
@@ -256,14 +262,16 @@ pub fn improve(
         let effort = Effort { wanted, surfaces, slack };
         if may_transform {
             loosen_all(&mut work);
+            context.check()?;
         }
         if may_transform && RELABELLING_ROUNDS.contains(&round) {
             summary.relabelled += relabel_beyond_surface(&mut work, &beyond);
+            context.check()?;
         }
         if may_transform && CHORD_ROUNDS.contains(&round) {
             work.refresh_stars();
             let chord = if has_vessels { VESSEL_CHORD } else { CHORD };
-            summary.counts.chords += split_chords(&mut work, chord * voxel, RELAXATION_BOUNDS[round]);
+            summary.counts.chords += split_chords(&mut work, chord * voxel, RELAXATION_BOUNDS[round], context)?;
         }
         raise_low_tets(&mut work, low, &effort, may_transform.then_some(&mut summary.counts), context)?;
         let approaches = APPROACH_ROUNDS.contains(&round) || (has_vessels && round == VESSEL_APPROACH_ROUND);
@@ -272,6 +280,7 @@ pub fn improve(
             let mut mend = |work: &mut ImprovementMesh, vertices: &[u32]| {
                 mend_around(work, vertices, &effort, Some(&mut summary.counts), context)
             };
+            context.check()?;
             let budget = (work.tets.len() / TETS_PER_APPROACH).max(LEAST_APPROACHES);
             let (farthest, ways) = if has_vessels { (VESSEL_FARTHEST, Ways::Creases) } else { (FARTHEST, Ways::Moves) };
             let range = [FAR, farthest].map(|f| f * voxel);
@@ -282,16 +291,18 @@ pub fn improve(
             // The next round moves all vertices.
             let (short, passes) =
                 if has_vessels { (VESSEL_COARSENED, VESSEL_COARSENING_PASSES) } else { (COARSENED, 1) };
-            summary.counts.short_edges += contract_short_edges(&mut work, wanted, short, passes, Uncontracted::Stay);
+            summary.counts.short_edges +=
+                contract_short_edges(&mut work, wanted, short, passes, Uncontracted::Stay, context)?;
         }
         if round + 1 < ROUNDS {
             update_offsets(&mut work, &clean.volumes, LARGEST_OFFSET * voxel);
+            context.check()?;
         }
     }
     advance(ROUNDS);
     if options.transformations == Transformations::Local {
         summary.counts.short_edges +=
-            contract_short_edges(&mut work, wanted, NEEDLE, NEEDLE_PASSES, Uncontracted::Lengthen);
+            contract_short_edges(&mut work, wanted, NEEDLE, NEEDLE_PASSES, Uncontracted::Lengthen, context)?;
         loosen_all(&mut work);
     }
     advance(ROUNDS + 1);
@@ -324,6 +335,7 @@ pub fn improve(
             relax_inside(&mut work, v, f64::INFINITY);
         });
     }
+    context.check()?;
     summary.crossings = count_crossings(&work);
     let mut low = if options.laplacian_iterations == 0 && !is_approached { left } else { low_tets(&work, wanted) };
     low.retain(|(_, t)| work.part(*t) == Part::Mesh);
@@ -351,7 +363,10 @@ fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunC
     let mut low: Vec<u32> = candidates.iter().flat_map(|t| work.tets[*t as usize]).collect();
     low.sort_unstable();
     low.dedup();
-    for v in low {
+    for (at, v) in low.into_iter().enumerate() {
+        if at % VERTICES_PER_CHECK == 0 {
+            context.check()?;
+        }
         if relax_inside(work, v, wanted) {
             candidates.extend(work.ball(v));
         }

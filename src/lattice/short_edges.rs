@@ -16,11 +16,16 @@
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::lattice::element_score::{Ball, Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::local_transformations::{contract_edge, may_contract};
 use crate::lattice::vertex_optimization::{plan_centering, plan_relaxation};
 use crate::mesh::numbering::TET_EDGES;
+
+/// Edges between two looks at whether the run is cancelled.
+const EDGES_PER_CHECK: usize = 256;
 
 /// What becomes of an edge that cannot be contracted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,13 +37,17 @@ pub enum Uncontracted {
 }
 
 /// Contracts edges below the share `short` of the longest in their tet, in at most `passes` sweeps; returns how many.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn contract_short_edges(
     mesh: &mut ImprovementMesh,
     wanted: f64,
     short: f64,
     passes: usize,
     others: Uncontracted,
-) -> usize {
+    context: &RunContext,
+) -> Result<usize> {
     let mut contracted = 0;
     let mut edges = short_edges(mesh, short, (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096));
     for pass in 1..=passes {
@@ -46,7 +55,10 @@ pub fn contract_short_edges(
         let mut touched: Vec<u32> = Vec::new();
         // A vertex has many short edges, and one place to go.
         let mut tried = FxHashSet::default();
-        for (_, [a, b]) in edges {
+        for (at, (_, [a, b])) in edges.into_iter().enumerate() {
+            if at % EDGES_PER_CHECK == 0 {
+                context.check()?;
+            }
             if mesh.shell(a, b).is_empty() {
                 continue;
             }
@@ -66,7 +78,7 @@ pub fn contract_short_edges(
         let near: Vec<u32> = touched.iter().flat_map(|v| mesh.ball(*v)).flat_map(|t| mesh.tets[*t as usize]).collect();
         edges = short_edges(mesh, short, mesh.tets_of(near).into_par_iter());
     }
-    contracted
+    Ok(contracted)
 }
 
 /// Square of the length and ends of the short edges of some tets, the shortest first.
@@ -124,7 +136,6 @@ fn move_apart(mesh: &mut ImprovementMesh, [a, b]: [u32; 2], wanted: f64, tried: 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::context::RunContext;
     use crate::image::grid::Grid;
     use crate::image::label_image::LabelImage;
     use crate::index::{Label, VertexId};
@@ -154,7 +165,8 @@ mod tests {
         let mut work = ImprovementMesh::new(&mut mesh, &SourcePoints::default(), surface);
         // Without sources no vertex is on a surface: those of the outside are held instead.
         [0, 3, 4, 5, 6, 7].into_iter().for_each(|v: usize| work.fixed[v] = true);
-        assert_eq!(contract_short_edges(&mut work, 15.0, 0.2, 3, Uncontracted::Lengthen), 1);
+        let context = RunContext::with_threads(1).unwrap();
+        assert_eq!(contract_short_edges(&mut work, 15.0, 0.2, 3, Uncontracted::Lengthen, &context).unwrap(), 1);
         work.finish(&mut mesh);
         assert_eq!((mesh.points.len(), mesh.tets.len()), (7, 8));
         let volume: f64 =

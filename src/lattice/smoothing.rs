@@ -59,17 +59,21 @@ pub fn smooth(
     let (image, values) = (clean.image.as_ref(), clean.values.as_slice());
     context.progress("target surface", progress_shares::REFINED);
     let surface = report.timed("target_surface", || SubvoxelSurface::new(image, context))?;
+    context.check()?;
     let planes = report.timed("border", || clip_at_border(mesh, &surface))?;
     report.set("smoothing.border_planes", planes.len() as f64);
     let mut neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len())?;
     let far = if options.check_mesh_topology { FarPieces::Go } else { FarPieces::Stay };
+    context.check()?;
     let loose = report.timed("loose_pieces", || relabel_loose_pieces(mesh, &neighbors, image, far))?;
     if loose > 0 {
         neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len())?;
     }
     report.set("smoothing.loose_pieces", loose as f64);
+    context.check()?;
     let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &neighbors, &surface, &planes);
     drop(neighbors);
+    context.check()?;
     let targets = TargetPoints::new(image, options.non_connectivity);
     let points = SmoothingPoints {
         sources: sources.vertices.iter().map(|v: &VertexId| mesh.points[v.index()]).collect(),

@@ -95,12 +95,14 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
     if !input.options.mixed_elements {
         mesh.cubes.clear();
     }
+    context.check()?;
     let mut held = vec![false; mesh.points.len()];
     mesh.fixed.iter().for_each(|v| held[v.index()] = true);
     let mut matrix = model.stiffness(&mesh.points, &materials, context)?;
     for vertex in &mesh.fixed {
         matrix.add(vertex.index(), vertex.index(), DMat3::from_diagonal(DVec3::splat(HELD)));
     }
+    context.check()?;
     let diagonals: Vec<DMat3> = input.sources.vertices.iter().map(|v| matrix.diagonal(v.index())).collect();
     let rows: Vec<i64> = (0..=mesh.tets.len() as i64).map(|t| 4 * t).collect();
     let own = Incidence::new(mesh.points.len(), &rows, mesh.tets.as_flattened())?;
@@ -109,6 +111,7 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
     let rows: Vec<i64> = (0..=scaffold.tets.len() as i64).map(|t| 4 * t).collect();
     let vertices = mesh.points.len() + scaffold.points.len();
     let around = Incidence::new(vertices, &rows, scaffold.tets.as_flattened())?;
+    context.check()?;
     let preconditioner = BlockJacobi::new(&matrix);
     let mut springs = Springs { matrix, preconditioner, pulls: vec![0.0; input.sources.vertices.len()] };
     let shares = (progress_shares::TARGETED, progress_shares::DEFORMED);
@@ -121,12 +124,14 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
             GuardedTets { tets: &mesh.tets, incidence: &own, part: Part::Mesh },
             GuardedTets { tets: &scaffold.tets, incidence: &around, part: Part::Scaffold },
         ];
+        context.check()?;
         let guarded = move_guarded(&mut mesh.points, &scaffold.points, &groups, &displacements, bound);
         summary.guarded.damped += guarded.damped;
         summary.guarded.undone += guarded.undone;
         summary.iterations += 1;
     }
     mesh.scaffold = scaffold;
+    context.check()?;
     Ok(summary)
 }
 
@@ -178,6 +183,7 @@ fn displacements_of(
     context: &RunContext,
 ) -> Result<Vec<DVec3>> {
     let edges = mean_edge_lengths(mesh, input.sources, body.incidence);
+    context.check()?;
     let wanted = source_displacements(mesh, input, &edges);
     let mut confidence: Vec<f64> = wanted.iter().map(|w| f64::from(u8::from(w.is_some()))).collect();
     let mut displacements = vec![DVec3::ZERO; mesh.points.len()];
@@ -200,6 +206,7 @@ fn displacements_of(
         }
         let rule = StoppingRule { relative_tolerance: RELATIVE_TOLERANCE, max_iterations: MAX_SOLVER_ITERATIONS };
         let Springs { matrix, preconditioner, .. } = springs;
+        context.check()?;
         let unknowns = [displacements.as_mut_slice(), residual.as_mut_slice()];
         let solve = conjugate_gradient_from(matrix, &right, unknowns, preconditioner, &rule, context)?;
         summary.solver_iterations += solve.iterations;
