@@ -314,6 +314,18 @@ mod tests {
     }
 
     #[test]
+    fn a_cancelled_run_splits_nothing() {
+        with_edge_on_ball(0.7, [0, 1, 2, 3], |mut mesh| {
+            mesh.refresh_stars();
+            let context = RunContext::with_threads(1).unwrap();
+            context.cancel_token().cancel();
+            let before = mesh.points.len();
+            assert!(matches!(split_chords(&mut mesh, 0.5, 15.0, &context), Err(crate::error::Error::Cancelled)));
+            assert_eq!(mesh.points.len(), before);
+        });
+    }
+
+    #[test]
     fn chords_through_a_thin_rod_are_split_and_a_ball_has_none() {
         let axis = DVec3::new(0.8, 0.5, 0.33).normalize();
         let (from, to) = (DVec3::new(9.2, 10.7, 10.4), DVec3::new(9.2, 10.7, 10.4) + axis * 18.0);

@@ -166,6 +166,10 @@ mod tests {
         // Without sources no vertex is on a surface: those of the outside are held instead.
         [0, 3, 4, 5, 6, 7].into_iter().for_each(|v: usize| work.fixed[v] = true);
         let context = RunContext::with_threads(1).unwrap();
+        context.cancel_token().cancel();
+        let cancelled = contract_short_edges(&mut work, 15.0, 0.2, 3, Uncontracted::Lengthen, &context);
+        assert!(matches!(cancelled, Err(crate::error::Error::Cancelled)));
+        let context = RunContext::with_threads(1).unwrap();
         assert_eq!(contract_short_edges(&mut work, 15.0, 0.2, 3, Uncontracted::Lengthen, &context).unwrap(), 1);
         work.finish(&mut mesh);
         assert_eq!((mesh.points.len(), mesh.tets.len()), (7, 8));
