@@ -11,7 +11,8 @@
 //!
 //! # Limits
 //! The cancellation flag is the one atomic outside `parallel/`: this module stands below it. Between two polls of the lattice engine
-//! lies at most one pass over all elements: half a second on two cores at 2.4 million tets, more than the 0.2 s of smaller meshes.
+//! lies up to one pass over all elements: with the default options up to half a second on two cores at 2.4 million tets, more than the
+//! 0.2 s of smaller meshes.
 
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};

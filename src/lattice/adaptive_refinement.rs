@@ -213,13 +213,11 @@ impl Rounds<'_> {
             // What bends in a leaf was marked in the round before.
             let is_straight = |leaf: usize| known.is_some() && lattice.unchanged[leaf] != CHANGED;
             let mut marked = self.mark(lattice, &elements, &found, &deficit, finest, is_straight);
-            self.context.check()?;
             // A round costs as much for a few leaves as for all: what relabelling lacks joins a few marks.
             if !marks_many(&marked) {
                 let by_centroid = elements.labels.clone();
                 let mut neighbors = self.neighbors(lattice, &elements, known)?;
                 let relabelled = self.relabel(lattice, &mut elements, &neighbors, |_| false);
-                self.context.check()?;
                 let at_centroid = found;
                 let mut found = self.recount(&at_centroid, &by_centroid, lattice, &elements)?;
                 let after = self.deficit(&found);

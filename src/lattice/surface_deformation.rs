@@ -102,7 +102,6 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
     for vertex in &mesh.fixed {
         matrix.add(vertex.index(), vertex.index(), DMat3::from_diagonal(DVec3::splat(HELD)));
     }
-    context.check()?;
     let diagonals: Vec<DMat3> = input.sources.vertices.iter().map(|v| matrix.diagonal(v.index())).collect();
     let rows: Vec<i64> = (0..=mesh.tets.len() as i64).map(|t| 4 * t).collect();
     let own = Incidence::new(mesh.points.len(), &rows, mesh.tets.as_flattened())?;
@@ -131,7 +130,6 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
         summary.iterations += 1;
     }
     mesh.scaffold = scaffold;
-    context.check()?;
     Ok(summary)
 }
 
@@ -206,7 +204,6 @@ fn displacements_of(
         }
         let rule = StoppingRule { relative_tolerance: RELATIVE_TOLERANCE, max_iterations: MAX_SOLVER_ITERATIONS };
         let Springs { matrix, preconditioner, .. } = springs;
-        context.check()?;
         let unknowns = [displacements.as_mut_slice(), residual.as_mut_slice()];
         let solve = conjugate_gradient_from(matrix, &right, unknowns, preconditioner, &rule, context)?;
         summary.solver_iterations += solve.iterations;
