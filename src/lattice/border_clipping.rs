@@ -11,6 +11,8 @@
 //!     \/\/\/\/\/   elements past the border          ----------- cut; a vertex next to the plane has moved onto it
 //!     /\/\/\/\/\                          ->         /\/\/\/\/\
 //! ```
+//! The last elements of a piece of a label keep it: a component of one or two voxels may have no others.
+//!
 //! Planes are taken one after the other, each moves vertices along its normal only: edges and corners of the image come
 //! out exactly.
 //!
@@ -230,15 +232,18 @@ impl Clipping {
         }
         let relabels = &self.relabels;
         let is_within = |changed: &[u32]| changed.iter().all(|e| !is_beyond[*e as usize]);
-        let may_take = |_: &[Label], changed: &[u32], _: Label| {
-            is_within(changed) && changed.iter().all(|e| relabels[*e as usize])
+        let topology = InterfaceTopology::new(&self.tets, &neighbors, self.points.len());
+        let may_take = |labels: &[Label], changed: &[u32], _: Label| {
+            is_within(changed) && changed.iter().all(|e| relabels[*e as usize]) && !is_piece(&topology, labels, changed)
         };
         relabel_for_smoothing(&mut self.labels, &continued, may_take);
-        let topology = InterfaceTopology::new(&self.tets, &neighbors, self.points.len());
         topology.repair(&mut self.labels, None, |labels, changed, to| may_take(labels, changed, to).then_some(0));
         // What still pinches needs a change farther inside, or of all its elements at once.
         topology.repair(&mut self.labels, None, |_, changed, _| is_within(changed).then_some(0));
         let may_change: Vec<bool> = relabels.iter().zip(is_beyond).map(|(may, beyond)| *may && !beyond).collect();
+        unite_at_pinches(&topology, &mut self.labels, &may_change);
+        // What is left has elements of three labels around it, some of which the border has not reached.
+        let may_change: Vec<bool> = is_beyond.iter().map(|beyond| !beyond).collect();
         unite_at_pinches(&topology, &mut self.labels, &may_change);
         Ok(())
     }
@@ -264,6 +269,13 @@ impl Clipping {
         mesh.scaffold =
             Scaffold::around(&self.tets, &self.labels, &mut renumbered, count, |v| self.points[v as usize], None);
     }
+}
+
+/// Whether elements are all that there is of a label, as far as anything touches them: the last that stand for a component.
+fn is_piece(topology: &InterfaceTopology, labels: &[Label], elements: &[u32]) -> bool {
+    let label = labels[elements[0] as usize];
+    let mut touching = elements.iter().flat_map(|e| topology.tets[*e as usize]).flat_map(|v| topology.ball(v));
+    !label.is_background() && touching.all(|e| labels[*e as usize] != label || elements.contains(e))
 }
 
 /// Gives all elements around a pinched vertex that may change one label, where that leaves fewer pinches.
@@ -452,5 +464,31 @@ mod tests {
         clip_at_border(&mut mesh, &surface).unwrap();
         assert_eq!((mesh.points[0].x, mesh.tets.len()), (-0.5, 1));
         assert!(tet_score([0, 1, 2, 3].map(|v: usize| mesh.points[v])) > 10.0);
+    }
+
+    /// A tet of label 2 with one face on the border, three of label 1 behind its other faces, and the labels that these four have
+    /// after relabelling; `pairs` more of label 2 lie behind the first of the three.
+    fn relabelled(pairs: usize) -> Vec<Label> {
+        let points = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.3, 0.3, 1.0]];
+        let beyond = [[1.0, 1.0, 1.0], [-1.0, 0.3, 1.0], [0.3, -1.0, 1.0], [2.0, 2.0, 0.5]];
+        let mut tets = vec![[0, 1, 2, 3], [1, 2, 3, 4], [0, 2, 3, 5], [0, 1, 3, 6]];
+        tets.extend([[1, 2, 4, 7]].iter().take(pairs));
+        let mut mesh = CandidateMesh {
+            points: points.into_iter().chain(beyond).map(DVec3::from_array).collect(),
+            tet_labels: [2, 1, 1, 1, 2].into_iter().take(tets.len()).map(Label).collect(),
+            tets: tets.iter().map(|t| t.map(VertexId)).collect(),
+            ..CandidateMesh::default()
+        };
+        let mut work = Clipping::new(&mut mesh);
+        work.relabels.fill(true);
+        work.relabel(&vec![false; tets.len()]).unwrap();
+        work.labels
+    }
+
+    #[test]
+    fn the_last_element_of_a_piece_keeps_its_label_and_one_that_touches_others_does_not() {
+        assert_eq!(relabelled(0)[0], Label(2));
+        // The fifth touches the first along an edge only.
+        assert_ne!(relabelled(1)[0], Label(2), "{:?}", relabelled(1));
     }
 }

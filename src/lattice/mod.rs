@@ -9,7 +9,7 @@
 //! 5. Labels by centroid, relabelled so that surfaces can move ([`element_labels`]).
 //! 6. Smoothing ([`smoothing`]): the lattice is cut flat at the image border ([`border_clipping`]), surfaces are pulled to the
 //!    image boundary, elements improved, around what stays bad by a search ([`iterated_search`]).
-//! 7. What the mesh has lost is told ([`lost_components`]).
+//! 7. What the mesh has lost is told ([`lost_components`]), and what it has of another topology ([`topology_findings`]).
 //! 8. World coordinates, surfaces, mid-edge nodes ([`finishing`]).
 //!
 //! # Source
@@ -75,6 +75,7 @@ mod test_images;
 #[cfg(test)]
 mod test_meshes;
 pub mod topology_differences;
+pub mod topology_findings;
 #[cfg(test)]
 mod topology_tests;
 pub mod tube_fitting;
@@ -172,6 +173,11 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
         report.timed("lost_components", || lost_components::find_lost(&mut candidate, image));
     }
     lost_components::tell_lost(&candidate.lost, image, values, context);
+    if options.check_mesh_topology {
+        let pinched = report
+            .timed("topology_findings", || topology_findings::tell_topology(&candidate, image, values, context))?;
+        report.set("topology.pinched_vertices", pinched as f64);
+    }
     context.progress("finishing", progress_shares::FINISHING);
     if options.mixed_elements {
         let limit = options.max_surface_triangles_on_pyramid;

@@ -186,6 +186,28 @@ fn a_few_specks_of_a_voxel_do_not_refine_the_whole_lattice() {
 }
 
 #[test]
+fn two_labels_of_eight_voxels_do_not_make_a_lattice_finer_than_the_voxels() {
+    let is_at = |p: DVec3, low: [f64; 3]| {
+        (p - DVec3::from(low)).cmpge(DVec3::ZERO).all() && (p - DVec3::from(low)).cmple(DVec3::ONE).all()
+    };
+    let image = image(28, |p| {
+        let in_block = p.min_element() >= 4.0 && p.max_element() < 24.0;
+        let label = if is_at(p, [9.0, 9.0, 9.0]) {
+            2
+        } else if is_at(p, [17.0, 16.0, 15.0]) {
+            3
+        } else {
+            1
+        };
+        if in_block { label } else { 0 }
+    });
+    let mesh = mesh(&image, &[]);
+    // 18 148 where refinement is local at the end, 109 754 where it spreads.
+    assert!(mesh.labels.len() < 40_000, "{}", mesh.labels.len());
+    assert!([2, 3].iter().all(|label| mesh.labels.contains(label)));
+}
+
+#[test]
 fn a_closed_cavity_of_eight_voxels_is_kept() {
     let body = image(24, |p| {
         let cavity = p.cmpge(DVec3::splat(11.0)).all() && p.cmplt(DVec3::splat(13.0)).all();
