@@ -231,6 +231,15 @@ impl RunContext {
         }
     }
 
+    /// [`check`](Self::check) at every `interval`-th of the items of a loop, from the first one on.
+    ///
+    /// # Errors
+    /// As [`check`](Self::check).
+    #[inline]
+    pub fn check_every(&self, interval: usize, item: usize) -> Result<()> {
+        if item.is_multiple_of(interval) { self.check() } else { Ok(()) }
+    }
+
     /// Says where the run is: a stable stage name and the fraction of the whole run, 0 to 1.
     pub fn progress(&self, stage: &'static str, fraction: f64) {
         let mut progress = lock(&self.shared.progress);
@@ -337,6 +346,14 @@ mod tests {
             },
         );
         assert!(matches!(result, Err(Error::Cancelled)));
+    }
+
+    #[test]
+    fn a_loop_asks_at_every_so_many_items() {
+        let context = RunContext::with_threads(1).unwrap();
+        context.cancel_token().cancel();
+        let ends = (0..7).filter(|item| context.check_every(3, *item).is_err());
+        assert_eq!(ends.collect::<Vec<usize>>(), [0, 3, 6]);
     }
 
     #[test]

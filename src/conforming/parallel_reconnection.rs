@@ -466,9 +466,7 @@ impl Driver {
 
     fn run_alone<J: Job>(&mut self, complex: &mut TetComplex, job: &J, items: &[J::Item]) -> Result<()> {
         for (number, &item) in items.iter().enumerate() {
-            if number % CHECK_INTERVAL == 0 {
-                self.context.check()?;
-            }
+            self.context.check_every(CHECK_INTERVAL, number)?;
             job.attempt(complex, &mut self.kits[0], item)?;
         }
         Ok(())

@@ -46,6 +46,9 @@ const COUNTING_SHIFT: DVec3 = DVec3::new(1.3e-6, 2.1e-6, 3.7e-6);
 /// not a power of two times the voxel.
 const SMALL_EDGE: f64 = 1.5;
 
+/// Cubes between two looks at whether the run is cancelled.
+const CUBES_PER_CHECK: usize = 1024;
+
 /// Distance of a tet's centroid to its farthest vertex, per cube edge: sqrt(5) / 4.
 pub const TET_RADIUS: f64 = 0.559_016_994_374_947_5;
 
@@ -408,9 +411,7 @@ pub fn coarsest_tets(
     let radius = TET_RADIUS * frame.spacing;
     let mut tets = Vec::new();
     for (number, cube) in cubes_along_curve(frame)?.into_iter().enumerate() {
-        if number % 1024 == 0 {
-            context.check()?;
-        }
+        context.check_every(CUBES_PER_CHECK, number)?;
         let corner = edge * cube;
         for axis in 0..3 {
             if corner[axis] + edge >= edge * frame.cubes[axis] {

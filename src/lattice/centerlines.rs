@@ -249,9 +249,7 @@ impl<'a> Ways<'a> {
             if f32::from_bits(bits) > self.far[v] {
                 continue;
             }
-            if reached.len().is_multiple_of(CHUNK) {
-                context.check()?;
-            }
+            context.check_every(CHUNK, reached.len())?;
             reached.push(voxel);
             let (at, own) = (self.solid.voxels[v], cost(v));
             for (step, length) in &self.steps {

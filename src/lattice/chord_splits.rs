@@ -98,9 +98,7 @@ pub enum Start {
 pub fn split_chords(mesh: &mut ImprovementMesh, tolerance: f64, bound: f64, context: &RunContext) -> Result<usize> {
     let mut split = 0;
     for (at, (_, chord)) in chords(mesh, tolerance).into_iter().enumerate() {
-        if at % CHORDS_PER_CHECK == 0 {
-            context.check()?;
-        }
+        context.check_every(CHORDS_PER_CHECK, at)?;
         split += usize::from(insert_in_chord(mesh, chord, bound, (Start::Nearer, Towards::Crease)).is_some());
     }
     Ok(split)

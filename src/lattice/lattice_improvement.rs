@@ -178,6 +178,9 @@ const SCORE_CLASS: f64 = 4.0;
 /// Vertices between two looks at whether the run is cancelled.
 const VERTICES_PER_CHECK: usize = 1024;
 
+/// Low tets between two such looks.
+const LOW_TETS_PER_CHECK: usize = 256;
+
 /// Largest offset of a label's surface, in smallest spacings.
 const LARGEST_OFFSET: f64 = 0.5;
 
@@ -364,9 +367,7 @@ fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunC
     low.sort_unstable();
     low.dedup();
     for (at, v) in low.into_iter().enumerate() {
-        if at % VERTICES_PER_CHECK == 0 {
-            context.check()?;
-        }
+        context.check_every(VERTICES_PER_CHECK, at)?;
         if relax_inside(work, v, wanted) {
             candidates.extend(work.ball(v));
         }
@@ -468,9 +469,7 @@ fn raise_low_tets(
 ) -> Result<()> {
     low.sort_unstable_by_key(|(score, t)| ((score.max(0.0) / SCORE_CLASS) as u32, *t));
     for (at, (_, t)) in low.into_iter().enumerate() {
-        if at % 256 == 0 {
-            context.check()?;
-        }
+        context.check_every(LOW_TETS_PER_CHECK, at)?;
         if !mesh.is_live(t) || mesh.score(t) >= effort.wanted {
             continue;
         }

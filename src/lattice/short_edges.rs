@@ -56,9 +56,7 @@ pub fn contract_short_edges(
         // A vertex has many short edges, and one place to go.
         let mut tried = FxHashSet::default();
         for (at, (_, [a, b])) in edges.into_iter().enumerate() {
-            if at % EDGES_PER_CHECK == 0 {
-                context.check()?;
-            }
+            context.check_every(EDGES_PER_CHECK, at)?;
             if mesh.shell(a, b).is_empty() {
                 continue;
             }
