@@ -152,9 +152,9 @@ impl SmoothDistances {
         self.fields.get(label.index()).is_some_and(|field| field.tubes.is_some())
     }
 
-    /// Smooth distance of a label at a place in voxels; `None` where the surface is far.
-    pub fn sample(&self, label: Label, place: DVec3, size: [usize; 3], spacing: DVec3) -> Option<Sample> {
-        self.fields.get(label.index())?.sample(place, size, spacing)
+    /// Smooth distance of a label at the place of a stencil; `None` where the surface is far.
+    pub fn sample(&self, label: Label, stencil: &Stencil) -> Option<Sample> {
+        self.fields.get(label.index())?.sample(stencil)
     }
 }
 
@@ -167,43 +167,38 @@ impl LabelDistance {
         (i + self.count[0] * (j + self.count[1] * k), inside)
     }
 
-    /// The voxels around a place and their weights; `None` where some are far from the label.
-    fn stencil(&self, place: DVec3, size: [usize; 3], spacing: DVec3) -> Option<Stencil> {
-        let nearest = floor_of(place + 0.5).as_dvec3();
-        let mut stencil = Stencil::default();
+    /// The blocks that the voxels of a stencil lie in, z first: each voxel's is at its `Stencil::part`. `None` where one is missing.
+    fn blocks_of(&self, stencil: &Stencil) -> Option<BlockNumbers> {
+        let mut low = [0; 3];
         for axis in 0..3 {
-            let at = place[axis] - nearest[axis];
-            let (low, high) = (0.5 - at, 0.5 + at);
-            stencil.value[axis] = [0.5 * low * low, 0.75 - at * at, 0.5 * high * high];
-            stencil.slope[axis] = [-low, -2.0 * at, high].map(|s| s / spacing[axis]);
-            for step in 0..3 {
-                // The image is continued past its border by its outermost voxels.
-                let at = nearest[axis] + step as f64 - 1.0;
-                let block = (at.max(0.0) as usize).min(size[axis] - 1);
-                let voxel = block.checked_sub(BLOCK * self.first[axis])?;
-                if voxel >= BLOCK * self.count[axis] {
-                    return None;
-                }
-                stencil.voxel[axis][step] = voxel;
+            low[axis] = stencil.block[axis].checked_sub(self.first[axis])?;
+            if low[axis] + stencil.part[axis][2] >= self.count[axis] {
+                return None;
             }
         }
-        Some(stencil)
+        let mut blocks = [[[NONE; 2]; 2]; 2];
+        for z in 0..=stencil.part[2][2] {
+            for y in 0..=stencil.part[1][2] {
+                let row = ((low[2] + z) * self.count[1] + low[1] + y) * self.count[0] + low[0];
+                for x in 0..=stencil.part[0][2] {
+                    let block = self.table[row + x];
+                    if block == NONE {
+                        return None;
+                    }
+                    blocks[z][y][x] = block;
+                }
+            }
+        }
+        Some(blocks)
     }
 
-    /// Where the row of a stencil begins: the first of its blocks in the table, and its place in a block.
-    fn row(&self, stencil: &Stencil, j: usize, k: usize) -> (usize, usize) {
-        let (y, z) = (stencil.voxel[1][j], stencil.voxel[2][k]);
-        let blocks = (z / BLOCK * self.count[1] + y / BLOCK) * self.count[0];
-        (blocks, BLOCK * (y % BLOCK + BLOCK * (z % BLOCK)))
-    }
-
-    fn sample(&self, place: DVec3, size: [usize; 3], spacing: DVec3) -> Option<Sample> {
-        let stencil = self.stencil(place, size, spacing)?;
-        let mut sample = self.spline(&stencil)?;
+    fn sample(&self, stencil: &Stencil) -> Option<Sample> {
+        let blocks = self.blocks_of(stencil)?;
+        let mut sample = self.spline(stencil, &blocks);
         if let Some(tubes) = &self.tubes
-            && let Some(found) = tubes.distance(place * spacing, self, &stencil)
+            && let Some(found) = tubes.distance(stencil, &blocks)
         {
-            let share = (1.0 - found.ahead / (CREASE * spacing.element_sum() / 3.0)).max(0.0);
+            let share = (1.0 - found.ahead / (CREASE * stencil.spacing.element_sum() / 3.0)).max(0.0);
             sample.value += share * (found.distance - sample.value);
             sample.outward = Some(found.outward);
         }
@@ -211,21 +206,16 @@ impl LabelDistance {
         sample.value.is_finite().then_some(sample)
     }
 
-    /// The spline; `None` where a block is missing.
-    fn spline(&self, stencil: &Stencil) -> Option<Sample> {
-        let Stencil { voxel, value, slope } = stencil;
+    fn spline(&self, stencil: &Stencil, blocks: &BlockNumbers) -> Sample {
+        let Stencil { value, slope, .. } = stencil;
         let (mut sum, mut gradient) = (0.0, DVec3::ZERO);
         for k in 0..3 {
             for j in 0..3 {
-                let (blocks, inside) = self.row(stencil, j, k);
+                let (row, inside) = stencil.row(blocks, j, k);
                 let (mut along, mut change) = (0.0, 0.0);
                 for i in 0..3 {
-                    let x = voxel[0][i];
-                    let block = self.table[blocks + x / BLOCK];
-                    if block == NONE {
-                        return None;
-                    }
-                    let coefficient = f64::from(self.blocks[block as usize][inside + x % BLOCK]);
+                    let block = row[stencil.part[0][i]];
+                    let coefficient = f64::from(self.blocks[block as usize][inside + stencil.inside[0][i]]);
                     along += value[0][i] * coefficient;
                     change += slope[0][i] * coefficient;
                 }
@@ -234,16 +224,56 @@ impl LabelDistance {
                 gradient += DVec3::new(y * z * change, slope[1][j] * z * along, y * slope[2][k] * along);
             }
         }
-        Some(Sample { value: sum, gradient, outward: None })
+        Sample { value: sum, gradient, outward: None }
     }
 }
 
-/// The voxels around a place, by their places from the first block of a label, and what each counts along each axis.
-#[derive(Debug, Clone, Copy, Default)]
-struct Stencil {
-    voxel: [[usize; 3]; 3],
+/// Blocks of a label, two along each axis, z first.
+type BlockNumbers = [[[u32; 2]; 2]; 2];
+
+/// The three voxels around a place along each axis, and what each counts: the same for all labels.
+#[derive(Debug, Clone, Copy)]
+pub struct Stencil {
+    /// The place, voxels, and the size of these, mm.
+    place: DVec3,
+    spacing: DVec3,
+    /// The block of the first voxel along each axis.
+    block: [usize; 3],
+    /// How many blocks after that each voxel's is, 0 or 1, and where the voxel is in it.
+    part: [[usize; 3]; 3],
+    inside: [[usize; 3]; 3],
     value: [[f64; 3]; 3],
     slope: [[f64; 3]; 3],
+}
+
+impl Stencil {
+    /// The stencil of a place in voxels of an image.
+    pub fn around(place: DVec3, size: [usize; 3], spacing: DVec3) -> Self {
+        let mut block = [0; 3];
+        let [mut part, mut inside] = [[[0; 3]; 3]; 2];
+        let [mut value, mut slope] = [[[0.0; 3]; 3]; 2];
+        let nearest = floor_of(place + 0.5).as_dvec3();
+        for axis in 0..3 {
+            let at = place[axis] - nearest[axis];
+            let (low, high) = (0.5 - at, 0.5 + at);
+            value[axis] = [0.5 * low * low, 0.75 - at * at, 0.5 * high * high];
+            slope[axis] = [-low, -2.0 * at, high].map(|s| s / spacing[axis]);
+            // The image is continued past its border by its outermost voxels.
+            let voxel = |step: f64| ((nearest[axis] + step).max(0.0) as usize).min(size[axis] - 1);
+            let voxels = [voxel(-1.0), voxel(0.0), voxel(1.0)];
+            block[axis] = voxels[0] / BLOCK;
+            part[axis] = voxels.map(|v| v / BLOCK - block[axis]);
+            inside[axis] = voxels.map(|v| v % BLOCK);
+        }
+        Self { place, spacing, block, part, inside, value, slope }
+    }
+
+    /// The blocks of a row along x, and where it begins in them.
+    #[inline]
+    fn row<'a>(&self, blocks: &'a BlockNumbers, j: usize, k: usize) -> (&'a [u32; 2], usize) {
+        let inside = BLOCK * (self.inside[1][j] + BLOCK * self.inside[2][k]);
+        (&blocks[self.part[2][k]][self.part[1][j]], inside)
+    }
 }
 
 /// The tube that a point is deepest in.
@@ -274,17 +304,16 @@ impl NearSegments {
 }
 
 impl TubeDistance {
-    /// The distance within the bounds of the voxels; `None` where the tubes do not tell. All blocks of the stencil are there.
-    fn distance(&self, point: DVec3, label: &LabelDistance, stencil: &Stencil) -> Option<DeepestTube> {
-        let Stencil { voxel, value, .. } = stencil;
+    /// The distance within the bounds of the voxels; `None` where the tubes do not tell.
+    fn distance(&self, stencil: &Stencil, blocks: &BlockNumbers) -> Option<DeepestTube> {
+        let value = &stencil.value;
         let mut correction = 0.0;
         let mut segments = NearSegments::default();
         for k in 0..3 {
             for j in 0..3 {
-                let (blocks, inside) = label.row(stencil, j, k);
+                let (row, inside) = stencil.row(blocks, j, k);
                 for i in 0..3 {
-                    let x = voxel[0][i];
-                    let (block, place) = (label.table[blocks + x / BLOCK] as usize, inside + x % BLOCK);
+                    let (block, place) = (row[stencil.part[0][i]] as usize, inside + stencil.inside[0][i]);
                     let of_voxel = f64::from(self.corrections[block][place]);
                     correction += value[0][i] * value[1][j] * value[2][k] * of_voxel;
                     segments.add(self.deepest[block][place]);
@@ -292,7 +321,7 @@ impl TubeDistance {
             }
         }
         correction.is_finite().then(|| {
-            let exact = self.exact_distance(point, &segments);
+            let exact = self.exact_distance(stencil.place * stencil.spacing, &segments);
             DeepestTube { distance: exact.distance + correction, ..exact }
         })
     }
@@ -584,7 +613,7 @@ mod tests {
 
     fn value(field: &SmoothDistances, image: &LabelImage, label: u16, at: DVec3) -> Option<(f64, DVec3)> {
         let grid = image.grid();
-        let found = field.sample(Label(label), at / grid.spacing(), grid.size(), grid.spacing())?;
+        let found = field.sample(Label(label), &Stencil::around(at / grid.spacing(), grid.size(), grid.spacing()))?;
         Some((found.value, found.gradient))
     }
 

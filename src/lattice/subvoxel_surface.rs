@@ -25,7 +25,7 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
-use crate::lattice::smooth_distance::{Sample, SmoothDistances};
+use crate::lattice::smooth_distance::{Sample, SmoothDistances, Stencil};
 
 /// Width of the smoothing in voxels: below 0.7 the staircase shows, above 1.2 walls of 1.5 voxels lose volume.
 const SIGMA: f64 = 0.95;
@@ -222,6 +222,11 @@ impl<'a> SubvoxelSurface<'a> {
         sums
     }
 
+    /// What the smooth distances are sampled with at a point, mm.
+    fn stencil(&self, point: DVec3) -> Stencil {
+        Stencil::around(point / self.spacing, self.size, self.spacing)
+    }
+
     /// Signed distance to the surface between labels a and b, mm, positive in a, and the unit normal towards a; `None` where
     /// no such surface is near.
     pub fn signed_distance(&self, point: DVec3, a: Label, b: Label) -> Option<(f64, DVec3)> {
@@ -238,7 +243,8 @@ impl<'a> SubvoxelSurface<'a> {
             return Some(near.depth);
         }
         let has = |label| self.smooth.has(label) && !self.is_beside_tubes(label, [a, b]);
-        let sample = |label| self.smooth.sample(label, point / self.spacing, self.size, self.spacing);
+        let stencil = self.stencil(point);
+        let sample = |label| self.smooth.sample(label, &stencil);
         let value = |label| has(label).then(|| sample(label))?.map(|found| found.value);
         match (value(a), value(b)) {
             (Some(of_a), Some(of_b)) => Some((of_a - of_b) / 2.0 + self.offset(a, b)),
@@ -252,7 +258,7 @@ impl<'a> SubvoxelSurface<'a> {
     /// that [`project`](Self::project) leads into. `None` where no tubes tell.
     pub fn nearest_on_tube(&self, point: DVec3, a: Label, b: Label) -> Option<DVec3> {
         let (label, other) = if self.smooth.is_tubular(a) { (a, b) } else { (b, a) };
-        let outward = self.smooth.sample(label, point / self.spacing, self.size, self.spacing)?.outward?;
+        let outward = self.smooth.sample(label, &self.stencil(point))?.outward?;
         let depth = self.depth(point, label, other)?;
         Some(self.within_borders(point + depth * outward))
     }
@@ -273,13 +279,13 @@ impl<'a> SubvoxelSurface<'a> {
     /// The surface from the smooth distances of both labels. A label that is thin or has an edge here (another label meets the two)
     /// has a distance that is rounded off, of a short gradient: it weighs little.
     fn smooth_difference(&self, point: DVec3, a: Label, b: Label) -> Option<NearSurface> {
-        let place = point / self.spacing;
+        let stencil = self.stencil(point);
         let mut found: [Option<LabelTerm>; 2] = [None; 2];
         for (slot, (label, sign)) in [(a, 1.0), (b, -1.0)].into_iter().enumerate() {
             if (!self.smooth.has(label) && label.is_background()) || self.is_beside_tubes(label, [a, b]) {
                 continue;
             }
-            let Sample { value, gradient, outward } = self.smooth.sample(label, place, self.size, self.spacing)?;
+            let Sample { value, gradient, outward } = self.smooth.sample(label, &stencil)?;
             let square = gradient.length_squared();
             if square > LEAST_GRADIENT * LEAST_GRADIENT {
                 let length = square.sqrt();
