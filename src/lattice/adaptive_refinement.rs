@@ -6,7 +6,8 @@
 //! 3. Where no leaves are marked, or a few, relabel the candidate mesh ([`super::element_labels`]) and count again; refine
 //!    where that costs the fidelity. At the finest level the relabelling spares what a label needs instead. From the first
 //!    round on that marks a few leaves only, the lattice is closed locally, and what a refinement leaves as it was is taken
-//!    over from the round before: elements, mismatches, neighbours.
+//!    over from the round before: elements, mismatches, neighbours. Where edges become shorter than a voxel, ten times as many
+//!    leaves are a few to the closure.
 //! 4. Where surfaces are smoothed, leaves with voxels that smoothing cannot reach are refined ([`super::missed_voxels`]), the
 //!    lattice closed locally around them, and those with voxels that no element of their label is near ([`super::stray_voxels`]).
 //! 5. Where surfaces are smoothed or checked, pinches are relabelled ([`super::interface_topology`]) and what still pinches
