@@ -11,7 +11,8 @@
 //!     \/\/\/\/\/   elements past the border          ----------- cut; a vertex next to the plane has moved onto it
 //!     /\/\/\/\/\                          ->         /\/\/\/\/\
 //! ```
-//! The last elements of a piece of a label keep it: a component of one or two voxels may have no others.
+//! The last elements of a piece of a label keep it, unless a surface pinches there otherwise: a component of one or two voxels may
+//! have no others.
 //!
 //! Planes are taken one after the other, each moves vertices along its normal only: edges and corners of the image come
 //! out exactly.
@@ -467,12 +468,12 @@ mod tests {
     }
 
     /// A tet of label 2 with one face on the border, three of label 1 behind its other faces, and the labels that these four have
-    /// after relabelling; `pairs` more of label 2 lie behind the first of the three.
-    fn relabelled(pairs: usize) -> Vec<Label> {
+    /// after relabelling; `further` more of label 2, at most one, lie behind the first of the three.
+    fn relabelled(further: usize) -> Vec<Label> {
         let points = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.3, 0.3, 1.0]];
         let beyond = [[1.0, 1.0, 1.0], [-1.0, 0.3, 1.0], [0.3, -1.0, 1.0], [2.0, 2.0, 0.5]];
         let mut tets = vec![[0, 1, 2, 3], [1, 2, 3, 4], [0, 2, 3, 5], [0, 1, 3, 6]];
-        tets.extend([[1, 2, 4, 7]].iter().take(pairs));
+        tets.extend([[1, 2, 4, 7]].iter().take(further));
         let mut mesh = CandidateMesh {
             points: points.into_iter().chain(beyond).map(DVec3::from_array).collect(),
             tet_labels: [2, 1, 1, 1, 2].into_iter().take(tets.len()).map(Label).collect(),

@@ -13,7 +13,7 @@
 //! Two of the same label that are off by as much in opposite directions hide each other in the sums of 2 and 3.
 //!
 //! # Cost
-//! Faces are matched once, and every vertex is looked at once; 24 bytes a tet while it lasts.
+//! Faces are matched once, and every vertex is looked at once. Neighbours and balls take 32 bytes a tet while it lasts.
 
 use crate::context::RunContext;
 use crate::error::{Finding, FindingCode, Result, Severity};
@@ -30,7 +30,7 @@ use crate::lattice::mesh_regions::{component_counts, regions_of, surplus_of};
 /// image; `values` are the caller's labels. Returns how many vertices are not manifold.
 ///
 /// # Errors
-/// Those of [`neighbors_of`]; [`crate::Error::Cancelled`].
+/// Those of [`neighbors_of`]; [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn tell_topology(mesh: &CandidateMesh, image: &LabelImage, values: &[i32], context: &RunContext) -> Result<usize> {
     let (tets, labels) = (bytemuck::cast_slice(&mesh.tets), &mesh.tet_labels);
     let neighbors = neighbors_of(tets, mesh.points.len())?;
