@@ -40,8 +40,9 @@ const EMPTY_BRICKS: usize = 2;
 /// First slot of a brick that is not stored.
 const EMPTY: u32 = WIDTH as u32;
 
-/// A step that moves no voxel by more than this part of the smallest spacing is the last.
-const LAST_STEP: f32 = 5e-4;
+/// A step that moves no voxel by more than this part of the smallest spacing is the last. Long waves across thick slices still move
+/// at five times of it.
+const LAST_STEP: f32 = 1e-4;
 
 /// Second differences of a voxel: xx, yy, zz, xy, xz, yz.
 const TERMS: usize = 6;
@@ -183,6 +184,8 @@ pub struct Descent<'a> {
     totals: Vec<Brick>,
     /// A step that moves no voxel by more is the last, mm.
     last: f32,
+    /// What makes the energy of the variation the square of third derivatives, for a length of the mean spacing.
+    scale: f32,
 }
 
 impl<'a> Descent<'a> {
@@ -209,8 +212,49 @@ impl<'a> Descent<'a> {
             terms,
             rates,
             last: LAST_STEP * spacing.min_element() as f32,
+            scale: ((4.0 * inverse.element_sum()).powi(3) * (spacing.element_sum() / 3.0).powi(4)) as f32,
             bricks,
         }
+    }
+
+    /// Least and largest values by slot; a step brings the values within them.
+    pub fn bounds_mut(&mut self) -> [&mut [f32]; 2] {
+        [&mut self.low, &mut self.high]
+    }
+
+    /// How fast the curvature changes around each voxel of the band, in order: the root of the mean square of the third derivatives
+    /// there and at the six neighbours, for a length of the mean spacing. 0.02 on a ball of 20 voxels, 0.2 on a rod of 2.
+    pub fn roughness(&mut self) -> Vec<f32> {
+        self.ahead.copy_from_slice(&self.values);
+        self.take_bending();
+        let Self { bricks, bending, terms, weights, rates, scale, .. } = &*self;
+        let slots = bricks.slots();
+        // Sums of the weighted squares, and of their weights.
+        let of_voxel = |slot: &u32| {
+            let at = *slot as usize;
+            let mut sums = [0.0f32; 2];
+            for (neighbors, rate) in bricks.neighbors(*slot).into_iter().zip(rates) {
+                for other in neighbors {
+                    let common = terms[at] & terms[other];
+                    for (term, weight) in weights.iter().enumerate().filter(|(term, _)| common >> term & 1 != 0) {
+                        let [own, beside] = [at, other].map(|slot| bending[slot / WIDTH][term][slot % WIDTH]);
+                        sums[0] += rate * (own - beside).powi(2) / weight;
+                        sums[1] += rate;
+                    }
+                }
+            }
+            sums
+        };
+        let found: Vec<[f32; 2]> = slots.par_iter().with_min_len(CHUNK).map(of_voxel).collect();
+        let mut by_slot = vec![[0.0f32; 2]; self.values.len()];
+        slots.iter().zip(found).for_each(|(slot, sums)| by_slot[*slot as usize] = sums);
+        let with_neighbors = |slot: &u32| {
+            let beside = bricks.neighbors(*slot).into_iter().flatten().map(|other| by_slot[other]);
+            let [square, rates] = beside.fold(by_slot[*slot as usize], |l, r| [l[0] + r[0], l[1] + r[1]]);
+            // The rates of the three axes sum to a quarter: six terms of it are the square of all third derivatives.
+            if rates > 0.0 { (1.5 * scale * square / rates).sqrt() } else { 0.0 }
+        };
+        slots.par_iter().with_min_len(CHUNK).map(with_neighbors).collect()
     }
 
     /// The values by slot.
@@ -503,6 +547,23 @@ mod tests {
                 let beside = bricks.beside[brick - EMPTY_BRICKS].map(|slot| slot as usize);
                 let found = slopes(brick * WIDTH, beside, arrays)[*slot as usize % WIDTH];
                 assert!((found - slope[*voxel]).abs() < 1e-5, "{voxel} {found} {}", slope[*voxel]);
+            }
+        }
+    }
+
+    #[test]
+    fn the_roughness_of_a_cubic_is_its_third_derivative_for_any_spacing() {
+        let size = [9; 3];
+        let bricks = Bricks::new(&[true; 729], size);
+        for spacing in [DVec3::ONE, DVec3::splat(0.6), SPACING] {
+            for axis in 0..3 {
+                let at = |n: usize| [n % 9, n / 9 % 9, n / 81][axis] as f64 * spacing[axis];
+                let value = |n: usize| Unknown { value: (0.1 * at(n).powi(3)) as f32, low: -1e3, high: 1e3 };
+                let unknowns: Vec<Unknown> = (0..729).map(value).collect();
+                let roughness = Descent::new(&bricks, &unknowns, spacing).roughness();
+                let mean = spacing.element_sum() / 3.0;
+                let (found, expected) = (f64::from(roughness[4 + 9 * (4 + 9 * 4)]), 0.6 * mean * mean);
+                assert!((found / expected - 1.0).abs() < 1e-3, "{found} {expected}");
             }
         }
     }
