@@ -2,7 +2,7 @@
 //!
 //! # Method
 //! For each point the nearest vertices are tried in turn; the first is moved there that no other point has and whose
-//! tets all keep at least a share of their height. A point for which there is none is a finding.
+//! tets all keep at least a share of their height. A point for which there is none, or outside of the image, is a finding.
 //!
 //! # Differences
 //! Not in the thesis.
@@ -28,20 +28,37 @@ const TRIES: usize = 12;
 /// Least scaled Jacobian of a tet beside a moved vertex; lattice tets have 0.5 and more.
 const MIN_SCALED_JACOBIAN: f64 = 0.15;
 
-/// Moves vertices to the points (LPS mm); returns how many points found one.
+/// How far past the border of the image a point may be and still lie on it, voxels: the rounding of decimals.
+const BORDER_SLACK: f64 = 1e-3;
+
+/// Moves vertices to the points (LPS mm); returns how many vertices are at one. A point that is given again has its vertex.
 pub fn snap(mesh: &mut CandidateMesh, points: &[DVec3], grid: &Grid, context: &RunContext) -> usize {
     let mut taken = 0;
     for (number, world) in points.iter().enumerate() {
-        let local = grid.world_to_index(*world) * grid.spacing();
-        if snap_one(mesh, local) {
-            taken += 1;
+        if points[..number].contains(world) {
             continue;
         }
-        let text = format!("fixed point {number} cannot become a vertex: no vertex near it can be moved there");
+        let index = grid.world_to_index(*world);
+        let why = if !is_inside(grid, index) {
+            "it is outside of the image"
+        } else if !snap_one(mesh, index * grid.spacing()) {
+            "no vertex near it can be moved there"
+        } else {
+            taken += 1;
+            continue;
+        };
+        let [x, y, z] = world.to_array();
+        let text = format!("fixed point {number} ({x}, {y}, {z}) cannot become a vertex: {why}");
         let finding = Finding::new(FindingCode::Other, Severity::Warning, text).with_ids(number as i64, -1);
         context.report(finding.at(world.to_array()));
     }
     taken
+}
+
+/// Whether a continuous index lies in a voxel of the image.
+fn is_inside(grid: &Grid, index: DVec3) -> bool {
+    let size = DVec3::from_array(grid.size().map(|s| s as f64));
+    index.cmpge(DVec3::splat(-0.5 - BORDER_SLACK)).all() && index.cmple(size - 0.5 + BORDER_SLACK).all()
 }
 
 fn snap_one(mesh: &mut CandidateMesh, point: DVec3) -> bool {
@@ -81,19 +98,37 @@ mod tests {
     use crate::index::Label;
     use glam::DMat3;
 
-    #[test]
-    fn a_vertex_moves_to_the_point_and_a_far_point_is_a_finding() {
-        let context = RunContext::with_threads(1).unwrap();
+    fn one_tet() -> (Grid, CandidateMesh) {
         let grid = Grid::new([2, 2, 2], DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).unwrap();
-        let mut mesh = CandidateMesh {
+        let mesh = CandidateMesh {
             points: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
             tets: vec![[0, 1, 2, 3].map(VertexId)],
             tet_labels: vec![Label(1)],
             ..CandidateMesh::default()
         };
+        (grid, mesh)
+    }
+
+    #[test]
+    fn a_vertex_moves_to_the_point_and_a_point_outside_is_a_finding() {
+        let context = RunContext::with_threads(1).unwrap();
+        let (grid, mut mesh) = one_tet();
         let points = [DVec3::new(0.1, 0.1, 0.05), DVec3::new(-9.0, 40.0, 7.0)];
         assert_eq!(snap(&mut mesh, &points, &grid, &context), 1);
         assert_eq!((mesh.points[0], mesh.fixed.as_slice()), (points[0], [VertexId(0)].as_slice()));
-        assert_eq!(context.take_findings().len(), 1);
+        let findings = context.take_findings();
+        assert_eq!(findings.len(), 1);
+        assert_eq!(findings[0].text, "fixed point 1 (-9, 40, 7) cannot become a vertex: it is outside of the image");
+        assert_eq!(findings[0].point, [-9.0, 40.0, 7.0]);
+    }
+
+    #[test]
+    fn a_point_given_twice_takes_one_vertex_without_a_finding() {
+        let context = RunContext::with_threads(1).unwrap();
+        let (grid, mut mesh) = one_tet();
+        let point = DVec3::new(0.1, 0.1, 0.05);
+        assert_eq!(snap(&mut mesh, &[point, point], &grid, &context), 1);
+        assert_eq!((mesh.points[0], mesh.fixed.as_slice()), (point, [VertexId(0)].as_slice()));
+        assert!(context.take_findings().is_empty());
     }
 }
