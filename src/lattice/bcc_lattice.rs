@@ -35,6 +35,9 @@ const KEY_BITS: u32 = 21;
 /// Deepest subdivision that the integers are prepared for; an element of the deepest level is 1/4096 of a cube.
 const MAX_DEPTH: u32 = 12;
 
+/// Least depth of the integers: one level of refinement ([`LatticeFrame::max_level`]).
+const MIN_DEPTH: u32 = 3;
+
 /// Shift of the lattice against the voxels, in voxels: lattice planes avoid voxel centres and voxel faces, on which the
 /// label of a centroid would hang on rounding. Small against a voxel, different along the axes.
 const GENERIC_SHIFT: DVec3 = DVec3::new(0.0309, 0.0471, 0.0233);
@@ -86,9 +89,14 @@ impl LatticeFrame {
         let cubes = ((high - low) / spacing).ceil() + 2.0;
         let needed = (cubes.max_element() + 1.0).log2().ceil();
         let depth = (f64::from(KEY_BITS) - needed).min(f64::from(MAX_DEPTH));
-        if depth < 3.0 || cubes.x * cubes.y * cubes.z > f64::from(u32::MAX) {
+        if depth < f64::from(MIN_DEPTH) {
             let needed = cubes.max_element() as u64;
-            return Err(Error::CapacityExceeded { what: "lattice cubes", needed, limit: 1 << (KEY_BITS - 3) });
+            let limit = (1 << (KEY_BITS - MIN_DEPTH)) - 1;
+            return Err(Error::CapacityExceeded { what: "lattice cubes along an axis", needed, limit });
+        }
+        let needed = cubes.element_product() as u64;
+        if needed > u64::from(u32::MAX) {
+            return Err(Error::CapacityExceeded { what: "lattice cubes", needed, limit: u32::MAX.into() });
         }
         let origin = 0.5 * (low + high) - 0.5 * cubes * spacing + GENERIC_SHIFT * voxel.min_element();
         let depth = depth as u32;
@@ -431,4 +439,22 @@ pub fn coarsest_tets(
         }
     }
     Ok(tets)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lattice::test_images::voxel_image;
+
+    #[test]
+    fn too_many_cubes_are_refused_with_the_number_that_is_too_large() {
+        let image = voxel_image(24, |_| 1);
+        let numbers = |spacing: f64| match LatticeFrame::new(&image, spacing) {
+            Err(Error::CapacityExceeded { what, needed, limit }) => (what, needed, limit),
+            other => panic!("{spacing}: {other:?}"),
+        };
+        // 240 000 cubes across 24 mm, and one on each side; past 2^18 - 1 along an axis no level of refinement is left.
+        assert_eq!(numbers(1e-4), ("lattice cubes", 240_002u64.pow(3), u64::from(u32::MAX)));
+        assert_eq!(numbers(5e-5), ("lattice cubes along an axis", 480_002, (1 << 18) - 1));
+    }
 }
