@@ -1088,7 +1088,7 @@ MW_API mw_status mw_mesh_quality(const struct mw_mesh *mesh,
 
 /**
  * Checks that a mesh is valid: every cell positively oriented (exactly), no duplicate, no face with three cells.
- * Meshes that a job returns are; this is for meshes from elsewhere.
+ * Meshes that a job returns are; this is for meshes from elsewhere. Runs on one thread.
  *
  * @return MW_OK, MW_E_ARG, MW_E_INPUT (the text names the first fault)
  */

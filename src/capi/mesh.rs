@@ -10,6 +10,7 @@ use super::image::{MW_SPACE_LPS, MW_SPACE_RAS, MW_TYPE_F64, MW_TYPE_I32, MW_TYPE
 use super::slices::{path, slice, slice_mut, text, write_sized};
 use super::status::mw_status;
 use super::surface::{to_points, to_vertex};
+use crate::context::RunContext;
 use crate::error::{Error, Result};
 use crate::io::{self, Compression, Encoding, MeshFormat, Surfaces, WriteOptions};
 use crate::mesh::mixed_mesh::{ArrayData, MixedMesh, NamedArray, Space};
@@ -318,7 +319,7 @@ fn measure_of(name: &str) -> Result<fn(&ElementQuality) -> f64> {
 }
 
 /// Checks that a mesh is valid: every cell positively oriented (exactly), no duplicate, no face with three cells.
-/// Meshes that a job returns are; this is for meshes from elsewhere.
+/// Meshes that a job returns are; this is for meshes from elsewhere. Runs on one thread.
 ///
 /// @return MW_OK, MW_E_ARG, MW_E_INPUT (the text names the first fault)
 #[unsafe(no_mangle)]
@@ -326,7 +327,9 @@ pub unsafe extern "C" fn mw_mesh_check(mesh: *const mw_mesh) -> mw_status {
     guard(|| {
         // SAFETY: the C caller's promise about the handle.
         let mesh = unsafe { borrow(mesh, "mesh") }?;
-        check_mixed_mesh(&mesh.mesh).map_err(|violation| Error::input(violation.to_string()))
+        // A mesh outlives its context. Outside of any pool the check would start rayon's global one, whose threads never end.
+        let context = RunContext::with_threads(1)?;
+        context.install(|| check_mixed_mesh(&mesh.mesh)).map_err(|violation| Error::input(violation.to_string()))
     })
 }
 
