@@ -289,7 +289,7 @@ typedef struct mw_image_desc {
     size_t struct_size;
     /** Voxels along i, j, k; each at least 1. */
     int64_t dims[3];
-    /** Distance of voxel centres along i, j, k, mm; finite and positive. */
+    /** Distance of voxel centres along i, j, k, mm; within 1e-6 and 1e6. */
     double spacing[3];
     /** Centre of voxel (0, 0, 0), mm. */
     double origin[3];

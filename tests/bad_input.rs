@@ -82,6 +82,12 @@ fn files_that_are_no_label_image_end_with_3() {
     image("uchar", "12 12 12", "spacings: 1 0 1\n", &ball, "spacing");
     image("uchar", "12 12 12", "spacings: 1 1 -2\n", &ball, "spacing");
     image("uchar", "12 12 12", "spacings: nan 1 1\n", &ball, "spacing");
+    for spacings in ["1e-300 1 1", "1e-7 1 1", "1e300 1e300 1e300", "1e-40 1e-40 1e-40", "1 1 1e7"] {
+        image("uchar", "12 12 12", &format!("spacings: {spacings}\n"), &ball, "is not within 1e-6 and 1e6 mm");
+    }
+    for spacings in ["1e-5 1 1", "1e-3 1 1", "1 1 1000"] {
+        image("uchar", "12 12 12", &format!("spacings: {spacings}\n"), &ball, "voxels are too long to be meshed");
+    }
     let halves = bytes_of(&ball, |v| f32::from(v) * 1.5, f32::to_le_bytes);
     image("float", "12 12 12", "", &halves, "not a whole number");
     let negative = bytes_of(&ball, |v| -i16::from(v), i16::to_le_bytes);

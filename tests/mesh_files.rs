@@ -114,6 +114,23 @@ fn every_volume_format_brings_the_mesh_back() {
 }
 
 #[test]
+fn formats_hold_what_they_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mesh, surface) = (mixed_mesh(), tetrahedron_surface());
+    let names = VOLUME.iter().map(|(name, _)| *name).chain(SURFACE).chain(["a.poly", "a.smesh", "case.foam"]);
+    for name in names {
+        let (path, format) = (folder.path().join(name), MeshFormat::of_path(Path::new(name)).unwrap());
+        let written = io::write_surface(&surface, &path, &WriteOptions::default());
+        assert_eq!(written.is_ok(), format.holds_lone_surface(), "{name}: {written:?}");
+        let written = io::write_mesh(&mesh, &path, &WriteOptions::default());
+        let elements = io::read_mesh(&path).map(|m| m.element_count());
+        // OpenFOAM cases are not read.
+        let is_whole = written.is_ok() && (name == "case.foam" || elements.is_ok_and(|n| n == mesh.element_count()));
+        assert_eq!(is_whole, format.holds_elements(), "{name}");
+    }
+}
+
+#[test]
 fn packed_blocks_come_back() {
     let folder = tempfile::tempdir().unwrap();
     let mesh = mixed_mesh();

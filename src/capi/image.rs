@@ -76,7 +76,7 @@ pub struct mw_image_desc {
     pub struct_size: usize,
     /// Voxels along i, j, k; each at least 1.
     pub dims: [i64; 3],
-    /// Distance of voxel centres along i, j, k, mm; finite and positive.
+    /// Distance of voxel centres along i, j, k, mm; within 1e-6 and 1e6.
     pub spacing: [f64; 3],
     /// Centre of voxel (0, 0, 0), mm.
     pub origin: [f64; 3],

@@ -5,7 +5,8 @@
 //! is its centre. `direction` may reflect (negative determinant) and need not be orthogonal, only invertible.
 //!
 //! # Invariants
-//! A [`Grid`] has at least one voxel, finite positive spacing, finite origin and an invertible direction.
+//! A [`Grid`] has at least one voxel, spacings within [`SPACING_RANGE`], an origin that is not so far that voxels would be
+//! lost in its rounding, and an invertible direction.
 
 use glam::{DMat3, DVec3};
 
@@ -14,6 +15,14 @@ use crate::error::{Error, Result};
 /// Columns of a direction matrix spanning less than this volume are singular: unit columns of a usable scan span 1,
 /// and rounding of headers in float32 perturbs it by 1e-6 at most.
 const SINGULAR_DETERMINANT: f64 = 1e-4;
+
+/// Smallest and largest spacing, mm: a nanometre and a kilometre. Squares of squares of spacings, their inverses, and squared
+/// distances across images of 10^8 voxels a side stay within the range of single precision, 1e-38 to 1e38; what is beyond comes
+/// from damaged headers and wrong units.
+pub const SPACING_RANGE: [f64; 2] = [1e-6, 1e6];
+
+/// Farthest origin along an axis, in smallest spacings: beyond it the rounding of world coordinates is 1e-6 voxels and more.
+const FARTHEST_ORIGIN: f64 = 1e10;
 
 /// Geometry of an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,18 +39,21 @@ impl Grid {
     /// with the axes of i, j, k as columns.
     ///
     /// # Errors
-    /// [`Error::InvalidArgument`] for an empty or overflowing size, non-positive or non-finite spacing, non-finite
-    /// origin, singular direction.
+    /// [`Error::InvalidArgument`] for an empty or overflowing size, a spacing outside of [`SPACING_RANGE`], a non-finite
+    /// or far origin, singular direction.
     pub fn new(size: [usize; 3], spacing: DVec3, origin: DVec3, direction: DMat3) -> Result<Self> {
         let voxels = size.iter().try_fold(1usize, |n, &s| n.checked_mul(s));
         if size.contains(&0) || voxels.is_none_or(|n| n > isize::MAX as usize) {
             return Err(Error::argument("size", format!("{size:?} is not a valid image size")));
         }
-        if !(spacing.is_finite() && spacing.min_element() > 0.0) {
-            return Err(Error::argument("spacing", format!("{:?} is not finite and positive", spacing.to_array())));
+        let [least, most] = SPACING_RANGE;
+        if !spacing.to_array().iter().all(|s| (least..=most).contains(s)) {
+            let reason = format!("{:?} is not within {least:e} and {most:e} mm", spacing.to_array());
+            return Err(Error::argument("spacing", reason));
         }
-        if !origin.is_finite() {
-            return Err(Error::argument("origin", format!("{:?} is not finite", origin.to_array())));
+        if !(origin.abs().max_element() <= FARTHEST_ORIGIN * spacing.min_element() && origin.is_finite()) {
+            let reason = format!("{:?} is not within {FARTHEST_ORIGIN:e} voxels", origin.to_array());
+            return Err(Error::argument("origin", reason));
         }
         let determinant = direction.determinant();
         if !direction.is_finite() || !determinant.is_finite() || determinant.abs() < SINGULAR_DETERMINANT {
@@ -130,7 +142,15 @@ mod tests {
         let grid = |spacing, direction| Grid::new([2, 2, 2], spacing, DVec3::ZERO, direction);
         assert!(grid(DVec3::new(1.0, 0.0, 1.0), DMat3::IDENTITY).is_err());
         assert!(grid(DVec3::new(1.0, f64::NAN, 1.0), DMat3::IDENTITY).is_err());
+        assert!(grid(DVec3::new(1e-6, 1.0, 1e6), DMat3::IDENTITY).is_ok());
+        for spacing in [1e-300, 9e-7, 1.1e6, 1e300, f64::INFINITY, -1.0] {
+            assert!(grid(DVec3::splat(spacing), DMat3::IDENTITY).is_err(), "{spacing}");
+            assert!(grid(DVec3::new(1.0, 1.0, spacing), DMat3::IDENTITY).is_err(), "{spacing}");
+        }
         assert!(grid(DVec3::ONE, DMat3::from_cols(DVec3::X, DVec3::X, DVec3::Z)).is_err());
+        for far in [2e10, 1e300, f64::NAN] {
+            assert!(Grid::new([2, 2, 2], DVec3::ONE, DVec3::new(0.0, far, 0.0), DMat3::IDENTITY).is_err(), "{far}");
+        }
         assert!(Grid::new([0, 2, 2], DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).is_err());
         assert!(Grid::new([usize::MAX, 2, 2], DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).is_err());
     }

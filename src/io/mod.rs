@@ -340,6 +340,38 @@ impl MeshFormat {
             Error::Unsupported { reason }
         })
     }
+
+    /// Whether files of this format are written with volume elements; others of a mesh keep its surface alone.
+    pub fn holds_elements(self) -> bool {
+        match self {
+            Self::Vtp | Self::Stl | Self::Off | Self::Obj | Self::Ply | Self::Surf | Self::Poly | Self::Smesh => false,
+            Self::Vtu | Self::Vtk42 | Self::Vtk51 | Self::Msh22 | Self::Msh41 | Self::Medit | Self::MeditBinary => true,
+            Self::Ugrid | Self::UgridBig | Self::UgridLittle | Self::Su2 | Self::OpenFoam => true,
+        }
+    }
+
+    /// Whether their elements may have nodes on edges: those of flow solvers may not.
+    pub fn holds_quadratic_elements(self) -> bool {
+        let is_of_flow_solver =
+            matches!(self, Self::Ugrid | Self::UgridBig | Self::UgridLittle | Self::Su2 | Self::OpenFoam);
+        self.holds_elements() && !is_of_flow_solver
+    }
+
+    /// Whether files of this format are written with a surface and no volume element.
+    pub fn holds_lone_surface(self) -> bool {
+        match self {
+            Self::Vtp | Self::Vtk42 | Self::Vtk51 | Self::Off | Self::Obj | Self::Ply | Self::Surf | Self::Stl => true,
+            Self::Msh22 | Self::Msh41 | Self::Medit | Self::MeditBinary => true,
+            Self::Vtu | Self::Poly | Self::Smesh => false,
+            Self::Ugrid | Self::UgridBig | Self::UgridLittle | Self::Su2 | Self::OpenFoam => false,
+        }
+    }
+
+    /// The endings of the formats that a test holds for, for messages.
+    pub fn endings_of(test: impl Fn(Self) -> bool) -> String {
+        let endings: Vec<&str> = MESH_ENDINGS.iter().filter(|(_, f)| test(*f)).map(|(ending, _)| *ending).collect();
+        endings.join(" ")
+    }
 }
 
 /// Writes a surface of no anatomical frame.

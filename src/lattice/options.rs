@@ -18,7 +18,7 @@
 use glam::DVec3;
 
 use crate::error::{Error, Result};
-use crate::parameters::{Default, Kind, Multiplicity, Parameter, ParameterSet, Table, Value};
+use crate::parameters::{Default, Kind, Multiplicity, Parameter, ParameterSet, Table, Value, find};
 
 const MESH_FILES: &[&str] = &[".vtu", ".vtk", ".msh", ".mesh"];
 const IMAGE_FILES: &[&str] = &[".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd"];
@@ -74,7 +74,7 @@ pub const PARAMETERS: Table = &[
         "Seed of the template choice of check-image-topology; the same seed gives the same mesh."),
     // --- lattice
     row("lattice-spacing", "latticeSpacing", above(0.0, INF), Default::Real(8.0), "mm", "Lattice",
-        "Edge length of the coarsest lattice cubes, and so of the largest elements. Where it is not given it shrinks to a twelfth of the longest side of the image, and is moved by up to 41 % so that halving it leads to edges of two voxels."),
+        "Edge length of the coarsest lattice cubes, and so of the largest elements. Where it is not given it grows to two voxels where these are large, shrinks to a twelfth of the longest side of the image, and is moved by up to 41 % so that halving it leads to edges of two voxels."),
     times(row("fidelity", "", real(0.1, 1.0), Default::Real(0.8), "", "Lattice",
         "Smallest share of voxels on which mesh and image agree, for every label (F1 and F2); can be given per label. Higher means finer elements at the boundaries."), Multiplicity::PerLabel),
     row("multiple-fidelities", "", Kind::InputFile { extensions: &[".txt"] }, Default::Unset, "", "Lattice",
@@ -140,7 +140,7 @@ pub const PARAMETERS: Table = &[
     row("evaluate-fidelity", "evaluateMeshFidelity", Kind::Flag, Default::Flag(false), "", "Evaluation",
         "Adds the two-sided Hausdorff distance and the mean surface distance of each label."),
     // --- debugging
-    row("output-bcc-surface", "outputSurfaceBCCMeshTriangles", Kind::OutputFile { extensions: &[".vtk", ".vtu"] }, Default::Unset, "", "Debugging",
+    row("output-bcc-surface", "outputSurfaceBCCMeshTriangles", Kind::OutputFile { extensions: &[".vtk", ".vtp"] }, Default::Unset, "", "Debugging",
         "Writes the surface triangles before smoothing."),
     row("output-bcc-mesh", "outputBCCMesh", Kind::OutputFile { extensions: &[".vtk", ".vtu"] }, Default::Unset, "", "Debugging",
         "Writes the mesh before smoothing."),
@@ -150,7 +150,7 @@ pub const PARAMETERS: Table = &[
         "Writes the image points that smoothing moves them to."),
     row("output-target-image", "outputTargetPoints2", Kind::OutputFile { extensions: IMAGE_FILES }, Default::Unset, "", "Debugging",
         "Writes an image that marks the voxels of the target points."),
-    row("output-smooth-surface", "outputSurfaceSmoothMeshTriangles", Kind::OutputFile { extensions: &[".vtk", ".vtu"] }, Default::Unset, "", "Debugging",
+    row("output-smooth-surface", "outputSurfaceSmoothMeshTriangles", Kind::OutputFile { extensions: &[".vtk", ".vtp"] }, Default::Unset, "", "Debugging",
         "Writes the surface triangles after smoothing."),
     row("output-smooth-mesh", "outputSmoothMesh", Kind::OutputFile { extensions: &[".vtk", ".vtu"] }, Default::Unset, "", "Debugging",
         "Writes the mesh after smoothing, before mid-edge nodes and duplicated vertices are added."),
@@ -385,7 +385,23 @@ impl Options {
             max_elements: set.integer("max-elements") as usize,
             time_limit: set.optional_real("time-limit"),
         };
+        options.refuse_idle(set)?;
         options.check()
+    }
+
+    /// Refuses values that nothing would read; the default may be said.
+    fn refuse_idle(&self, set: &ParameterSet) -> Result<()> {
+        let needs = [
+            ("relabel-mesh-regions-below", "check-mesh-topology", self.check_mesh_topology),
+            ("max-surface-triangles-on-pyramid", "mixed-elements", self.mixed_elements),
+        ];
+        for (name, needed, is_on) in needs {
+            let default = set.table()[find(set.table(), name)?].default_value();
+            if !is_on && set.value(name) != default {
+                return Err(Error::ParameterValue { name: name.into(), reason: format!("it needs {needed}") });
+            }
+        }
+        Ok(())
     }
 
     fn check(self) -> Result<Self> {
@@ -507,6 +523,21 @@ mod tests {
         assert!(!refused(&[("duplicate-interface", "1,*"), ("fixed-point", "1,2,-3.5")]));
         assert!(refused(&[("hybridMesh", "1"), ("shapeFunctionType", "quadratic")]));
         assert!(refused(&[("thresholdToRelabelDisconnectedImageRegions", "0.02")]));
+    }
+
+    #[test]
+    fn values_that_nothing_would_read_are_refused_but_for_the_default() {
+        let made = |pairs: &[(&str, &str)]| {
+            let mut set = ParameterSet::new(PARAMETERS);
+            pairs.iter().try_for_each(|(n, v)| set.set_text(n, v)).unwrap();
+            Options::from_parameters(&set).map_err(|e| e.to_string())
+        };
+        let (regions, pyramids) = ("relabel-mesh-regions-below", "max-surface-triangles-on-pyramid");
+        assert!(made(&[(regions, "0.01")]).unwrap_err().contains("it needs check-mesh-topology"));
+        assert!(made(&[(pyramids, "2")]).unwrap_err().contains("it needs mixed-elements"));
+        made(&[(regions, "0.001"), (pyramids, "0")]).unwrap();
+        made(&[(regions, "0.01"), ("check-mesh-topology", "1"), ("check-image-topology", "1")]).unwrap();
+        made(&[(pyramids, "2"), ("mixed-elements", "1")]).unwrap();
     }
 
     #[test]

@@ -245,18 +245,51 @@ fn format_arguments() -> [Arg; 5] {
     ]
 }
 
-/// The write options that the format flags ask for, for a file of the given name.
+/// What goes into a mesh file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Content {
+    /// Volume elements or points: a format of surfaces would lose them.
+    Elements,
+    /// Volume elements with nodes on edges.
+    QuadraticElements,
+    /// A surface alone.
+    Surface,
+    /// What the format holds of it: a conversion may leave the surface alone.
+    Any,
+}
+
+impl Content {
+    /// Refuses a format that cannot hold it.
+    fn check(self, format: MeshFormat, path: &Path) -> Result<()> {
+        let (test, what): (fn(MeshFormat) -> bool, &str) = match self {
+            Self::Elements => (MeshFormat::holds_elements, "volume elements"),
+            Self::QuadraticElements => (MeshFormat::holds_quadratic_elements, "quadratic elements"),
+            Self::Surface => (MeshFormat::holds_lone_surface, "surface alone"),
+            Self::Any => return Ok(()),
+        };
+        if test(format) {
+            return Ok(());
+        }
+        let endings = MeshFormat::endings_of(test);
+        Err(Error::Unsupported { reason: format!("{} would hold no {what}; {endings} do", path.display()) })
+    }
+}
+
+/// The write options that the format flags ask for, for a file of the given name and content.
 ///
 /// # Errors
-/// [`Error::Unsupported`] for an unknown ending or a version that the format has not.
-pub fn write_options(matches: &ArgMatches, path: &Path) -> Result<WriteOptions> {
+/// [`Error::Unsupported`] for an unknown ending, a format that does not hold the content, or a version that the format
+/// has not.
+pub fn write_options(matches: &ArgMatches, path: &Path, content: Content) -> Result<WriteOptions> {
     let given = |name: &str| matches.try_get_one::<String>(name).ok().flatten().map(String::as_str);
     let flag = |name: &str| matches.try_get_one::<bool>(name).ok().flatten() == Some(&true);
     let format = match MeshFormat::of_path(path) {
         // Devices have no ending.
+        Err(_) if is_device(path) && content == Content::Surface => MeshFormat::Vtp,
         Err(_) if is_device(path) => MeshFormat::Vtu,
         other => other?,
     };
+    content.check(format, path)?;
     let format = match (format, given("format-version")) {
         (MeshFormat::Vtk42, Some("5.1")) => MeshFormat::Vtk51,
         (MeshFormat::Msh41, Some("2.2")) => MeshFormat::Msh22,
@@ -286,23 +319,42 @@ pub fn is_device(path: &Path) -> bool {
     path.metadata().is_ok_and(|m| !m.is_file() && !m.is_dir())
 }
 
-/// The values given on the command line, checked against the table. An empty text means not given: 3D Slicer passes
-/// one for every field left empty.
+/// What an empty text stands for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum EmptyText {
+    /// An option that was not given: 3D Slicer passes one for every field left empty.
+    NotGiven,
+    /// A mistake: a variable of a script that is not set.
+    Refused,
+}
+
+impl EmptyText {
+    /// By the name that the binary was called under.
+    pub fn of_caller() -> Self {
+        if module_kind(std::env::args_os().next()).is_some() { Self::NotGiven } else { Self::Refused }
+    }
+}
+
+/// The values given on the command line, checked against the table.
 ///
 /// # Errors
 /// [`Error::ParameterValue`].
-pub fn parameters(matches: &ArgMatches, table: Table) -> Result<ParameterSet> {
+pub fn parameters(matches: &ArgMatches, table: Table, empty: EmptyText) -> Result<ParameterSet> {
     let mut set = ParameterSet::new(table);
     for parameter in table {
-        let texts = |name: &str| -> Vec<String> {
-            let values = matches.try_get_many::<String>(name).ok().flatten();
-            values.map(|v| v.filter(|t| !t.trim().is_empty()).cloned().collect()).unwrap_or_default()
+        let texts = |name: &str| -> Result<Vec<String>> {
+            let given = matches.try_get_many::<String>(name).ok().flatten().unwrap_or_default();
+            let (blank, texts): (Vec<String>, Vec<String>) = given.cloned().partition(|text| text.trim().is_empty());
+            if !blank.is_empty() && empty == EmptyText::Refused {
+                return Err(Error::ParameterValue { name: name.to_owned(), reason: "its value is empty".into() });
+            }
+            Ok(texts)
         };
-        for text in texts(parameter.name) {
+        for text in texts(parameter.name)? {
             set.set_text(parameter.name, &text)?;
         }
         if parameter.multiplicity == Multiplicity::PerLabel {
-            for text in texts(&format!("{}-for", parameter.name)) {
+            for text in texts(&format!("{}-for", parameter.name))? {
                 let refuse = || Error::ParameterValue {
                     name: format!("{}-for", parameter.name),
                     reason: format!("'{text}' is not LABEL=VALUE"),
@@ -323,12 +375,17 @@ const MODULE_NAMES: [(&str, JobKind); 3] = [
     ("MeshwrightRegister", JobKind::Registration),
 ];
 
+/// The job of the module that the binary was called as.
+fn module_kind(called_as: Option<OsString>) -> Option<JobKind> {
+    let name = PathBuf::from(called_as?).file_stem()?.to_owned();
+    MODULE_NAMES.iter().find(|(module, _)| name == *module).map(|(_, kind)| *kind)
+}
+
 /// Arguments with the thesis's single hyphen (`-latticeSpacing`) brought to two, and with the subcommand that the
 /// binary's own name stands for.
 pub fn normalized(arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
     let mut arguments: Vec<OsString> = arguments.collect();
-    let called_as = arguments.first().and_then(|name| PathBuf::from(name).file_stem().map(OsString::from));
-    if let Some((_, kind)) = MODULE_NAMES.iter().find(|(name, _)| called_as.as_deref() == Some(name.as_ref())) {
+    if let Some(kind) = module_kind(arguments.first().cloned()) {
         arguments.insert(1, kind.name().into());
     }
     let with_two = |argument: OsString| match argument.to_str() {

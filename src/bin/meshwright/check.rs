@@ -10,13 +10,14 @@ use meshwright::parameters::ParameterSet;
 use meshwright::{Error, Finding, FindingCode, Result, io};
 use serde_json::json;
 
-use crate::{arguments, report};
+use crate::{arguments, file_names, report};
 
 /// Prints the findings; a surface with errors ends with the exit code of invalid input.
 ///
 /// # Errors
 /// Those of the reader; [`Error::InvalidInput`] for a surface with errors.
 pub fn run(matches: &ArgMatches) -> Result<()> {
+    file_names::refuse_clashes_of(matches, &["surface"], &["picture", "json"])?;
     let path = arguments::path(matches, "surface").expect("clap requires the surface");
     let json = arguments::path(matches, "json");
     let surface = match io::read_surface(path) {

@@ -7,7 +7,8 @@ use meshwright::io::SurfaceExport;
 use meshwright::mesh::mixed_mesh::Space;
 use meshwright::{Error, Result, io};
 
-use crate::arguments;
+use crate::arguments::{self, Content};
+use crate::file_names;
 
 /// Reads one file and writes the other.
 ///
@@ -16,6 +17,7 @@ use crate::arguments;
 pub fn run(matches: &ArgMatches) -> Result<()> {
     let input = arguments::path(matches, "input").expect("clap requires the input");
     let output = arguments::path(matches, "output").expect("clap requires the output");
+    file_names::refuse_clashes_of(matches, &["input"], &["output"])?;
     if io::is_image_path(output) {
         io::check_writable(output)?;
         if io::is_mesh_path(input) {
@@ -23,7 +25,7 @@ pub fn run(matches: &ArgMatches) -> Result<()> {
         }
         return io::write_image(&io::read_image(input)?, output);
     }
-    let options = arguments::write_options(matches, output)?;
+    let options = arguments::write_options(matches, output, Content::Any)?;
     io::check_writable(output)?;
     if io::is_image_path(input) {
         return Err(no_way(input, output));

@@ -10,7 +10,7 @@ use meshwright::mesh::surface_mesh::SurfaceMesh;
 use meshwright::{Result, io, with_voxels};
 use serde_json::{Map, Value, json};
 
-use crate::{arguments, report};
+use crate::{arguments, file_names, report};
 
 /// Different values up to which an image's values are listed as labels.
 const LISTED_LABELS: usize = 4096;
@@ -20,6 +20,7 @@ const LISTED_LABELS: usize = 4096;
 /// # Errors
 /// Those of the reader.
 pub fn run(matches: &ArgMatches) -> Result<()> {
+    file_names::refuse_clashes_of(matches, &["file"], &["json"])?;
     let path = arguments::path(matches, "file").expect("clap requires the file");
     let description = describe(path)?;
     match arguments::path(matches, "json") {

@@ -18,7 +18,7 @@ use meshwright::pipeline::{JobKind, Output};
 use meshwright::statistics::Statistics;
 use meshwright::{Error, Result, io};
 
-use crate::arguments;
+use crate::arguments::{self, Content};
 
 /// Rows whose output has another name in [`Output`].
 const NAMES: [(&str, &str); 4] = [
@@ -27,6 +27,11 @@ const NAMES: [(&str, &str); 4] = [
     ("output-inverse-field", "inverse"),
     ("output-segmentation", "labels"),
 ];
+
+/// What the mesh file of a row holds; the main mesh is [`Content::QuadraticElements`] where these are asked for.
+pub fn content_of(row: &str) -> Content {
+    if row.ends_with("-surface") { Content::Surface } else { Content::Elements }
+}
 
 /// What is written, and how.
 pub struct Writer<'a> {
@@ -59,15 +64,15 @@ impl Writer<'_> {
         Ok(())
     }
 
-    fn options(&self, path: &Path) -> Result<WriteOptions> {
-        Ok(WriteOptions { patches: self.patches.clone(), ..arguments::write_options(self.matches, path)? })
+    fn options(&self, path: &Path, content: Content) -> Result<WriteOptions> {
+        Ok(WriteOptions { patches: self.patches.clone(), ..arguments::write_options(self.matches, path, content)? })
     }
 
     fn write_one(&self, name: &str, path: &Path) -> Result<()> {
         let output = self.output;
         let main = if self.kind == JobKind::Registration { "output-mesh" } else { "output" };
         if name == main {
-            return io::write_mesh(main_mesh(output)?, path, &self.options(path)?);
+            return io::write_mesh(main_mesh(output)?, path, &self.options(path, Content::Elements)?);
         }
         match name {
             "output-blocks" => return write_blocks(output, path),
@@ -83,7 +88,7 @@ impl Writer<'_> {
             return io::write_image(image, path);
         }
         if let Some((_, mesh)) = output.meshes.iter().find(|(n, _)| same(n)) {
-            let options = self.options(path)?;
+            let options = self.options(path, content_of(name))?;
             if mesh.element_count() == 0 && !mesh.boundary.labels.is_empty() {
                 return io::write_surface_export(&SurfaceExport::of_mesh(mesh, SurfaceSelection::All)?, path, &options);
             }
@@ -91,7 +96,7 @@ impl Writer<'_> {
         }
         if let Some((_, points)) = output.points.iter().find(|(n, _)| same(n)) {
             let cloud = MixedMesh { points: points.clone(), offsets: vec![0], ..MixedMesh::default() };
-            return io::write_mesh(&cloud, path, &self.options(path)?);
+            return io::write_mesh(&cloud, path, &self.options(path, Content::Elements)?);
         }
         Err(missing(&wanted.replace('_', " ")))
     }
@@ -107,15 +112,14 @@ fn missing(name: &str) -> Error {
 
 /// One file, or one per label or pair of labels with the labels in its name.
 fn write_surfaces(matches: &ArgMatches, path: &Path, mesh: &MixedMesh) -> Result<()> {
-    let options = arguments::write_options(matches, path)?;
+    let options = arguments::write_options(matches, path, Content::Surface)?;
     let how = matches.get_one::<String>("surfaces").map_or("all", String::as_str);
     if how == "all" {
         return io::write_surface_export(&SurfaceExport::of_mesh(mesh, SurfaceSelection::All)?, path, &options);
     }
     let pairs = label_pairs(mesh);
     let named = |suffix: String| -> PathBuf {
-        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-        let ending = path.extension().unwrap_or_default().to_string_lossy();
+        let (stem, ending) = name_parts(path);
         path.with_file_name(format!("{stem}-{suffix}.{ending}"))
     };
     let selections: Vec<(SurfaceSelection, PathBuf)> = if how == "per-pair" {
@@ -130,6 +134,21 @@ fn write_surfaces(matches: &ArgMatches, path: &Path, mesh: &MixedMesh) -> Result
         io::write_surface_export(&SurfaceExport::of_mesh(mesh, selection)?, &path, &options)?;
     }
     Ok(())
+}
+
+/// Whether `other` could be one of the files that [`write_surfaces`] makes of `path`: beside it, with one or two labels
+/// in its name.
+pub fn is_surface_of_labels(path: &Path, other: &Path) -> bool {
+    let ((stem, ending), (other_stem, other_ending)) = (name_parts(path), name_parts(other));
+    let labels = other_stem.strip_prefix(&stem).and_then(|rest| rest.strip_prefix('-'));
+    let is_label = |word: &str| !word.is_empty() && word.bytes().all(|b| b.is_ascii_digit());
+    path.parent() == other.parent() && ending == other_ending && labels.is_some_and(|l| l.split('-').all(is_label))
+}
+
+/// A file's name before and after its last dot.
+fn name_parts(path: &Path) -> (String, String) {
+    let text = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
+    (text(path.file_stem()), text(path.extension()))
 }
 
 /// Values of a named array as reals.

@@ -13,14 +13,15 @@ use std::time::Instant;
 use clap::ArgMatches;
 use meshwright::context::{CancelToken, RunContext, WorkerPool};
 use meshwright::mesh::surface_mesh::Patch;
-use meshwright::parameters::{Kind, ParameterSet};
+use meshwright::parameters::{Kind, ParameterSet, find};
 use meshwright::pipeline::{JobKind, Output, image_to_mesh, registration, surface_to_mesh};
 use meshwright::statistics::Statistics;
 use meshwright::{Error, Finding, Result, io};
 use serde_json::json;
 
+use crate::arguments::{self, Content, EmptyText};
 use crate::progress::Progress;
-use crate::{arguments, job_inputs, job_outputs, report, slicer_xml};
+use crate::{file_names, job_inputs, job_outputs, report, slicer_xml};
 
 /// Runs a job.
 ///
@@ -31,7 +32,7 @@ pub fn run(kind: JobKind, matches: &ArgMatches) -> Result<()> {
         return report::print(&slicer_xml::describe(kind));
     }
     let begin = Instant::now();
-    let set = arguments::parameters(matches, kind.parameters())?;
+    let set = arguments::parameters(matches, kind.parameters(), EmptyText::of_caller())?;
     check_outputs(matches, &set)?;
     let cancel = CancelToken::default();
     let handler = cancel.clone();
@@ -78,29 +79,71 @@ pub fn run(kind: JobKind, matches: &ArgMatches) -> Result<()> {
     Ok(())
 }
 
-/// Looks at every output before the work starts.
+/// Looks at every output before the work starts: none is an input or another output, each format holds what it is for, each
+/// folder is there.
 fn check_outputs(matches: &ArgMatches, set: &ParameterSet) -> Result<()> {
-    let mut paths: Vec<PathBuf> = Vec::new();
+    let (mut inputs, mut outputs): (Vec<(&str, PathBuf)>, Vec<(&str, PathBuf)>) = Default::default();
     for parameter in set.table() {
-        if let Kind::OutputFile { extensions } = parameter.kind
-            && let Some(text) = set.text(parameter.name)
-        {
-            let path = PathBuf::from(text);
-            if extensions.contains(&".vtu") && !arguments::is_device(&path) {
-                arguments::write_options(matches, &path)?;
-            } else if extensions.contains(&".nrrd") && !arguments::is_device(&path) && !io::is_image_path(&path) {
-                let reason = format!("{}: images are written as {}", path.display(), extensions.join(" "));
-                return Err(Error::Unsupported { reason });
-            }
-            paths.push(path);
+        match parameter.kind {
+            Kind::InputFile { .. } => inputs.extend(set.text(parameter.name).map(|t| (parameter.name, t.into()))),
+            Kind::OutputFile { .. } => outputs.extend(set.text(parameter.name).map(|t| (parameter.name, t.into()))),
+            _ => {}
         }
     }
-    if let Some(path) = arguments::path(matches, "output-surface") {
-        arguments::write_options(matches, path)?;
-        paths.push(path.clone());
+    for (name, path) in &outputs {
+        check_format(matches, set, name, path)?;
     }
-    paths.extend(["returnparameterfile", "json"].iter().filter_map(|n| arguments::path(matches, n)).cloned());
-    paths.iter().filter(|p| **p != Path::new("-")).try_for_each(|path| io::check_writable(path))
+    if let Some(path) = arguments::path(matches, "output-surface") {
+        arguments::write_options(matches, path, Content::Surface)?;
+    }
+    for name in ["output-surface", "returnparameterfile", "json"] {
+        outputs.extend(arguments::path(matches, name).map(|path| (name, path.clone())));
+    }
+    outputs.iter().filter(|(_, p)| p != Path::new("-")).try_for_each(|(_, path)| io::check_writable(path))?;
+    check_surfaces_of_labels(matches, &inputs, &mut outputs)?;
+    file_names::refuse_clashes(&as_named(&inputs), &as_named(&outputs))
+}
+
+fn as_named<'a>(files: &'a [(&'static str, PathBuf)]) -> Vec<file_names::Named<'a>> {
+    files.iter().map(|(name, path)| (*name, path.as_path())).collect()
+}
+
+/// Whether the format that the name of a table's output stands for holds what is written there.
+fn check_format(matches: &ArgMatches, set: &ParameterSet, name: &str, path: &Path) -> Result<()> {
+    let row = &set.table()[find(set.table(), name)?];
+    let Kind::OutputFile { extensions } = row.kind else { return Ok(()) };
+    if arguments::is_device(path) {
+        return Ok(());
+    }
+    if extensions.contains(&".vtk") {
+        let is_quadratic =
+            name == "output" && find(set.table(), "shape-functions").is_ok_and(|_| set.integer("shape-functions") == 1);
+        let content = if is_quadratic { Content::QuadraticElements } else { job_outputs::content_of(name) };
+        arguments::write_options(matches, path, content)?;
+    } else if extensions.contains(&".nrrd") && !io::is_image_path(path) {
+        let reason = format!("{}: images are written as {}", path.display(), extensions.join(" "));
+        return Err(Error::Unsupported { reason });
+    }
+    Ok(())
+}
+
+/// Where the surfaces go to a file per label or pair of labels, their names are not known yet: no other file may have
+/// one that could be theirs. The name that was given is not written then.
+fn check_surfaces_of_labels(
+    matches: &ArgMatches,
+    inputs: &[(&'static str, PathBuf)],
+    outputs: &mut Vec<(&'static str, PathBuf)>,
+) -> Result<()> {
+    let is_one_file = matches.try_get_one::<String>("surfaces").ok().flatten().is_none_or(|how| how == "all");
+    let Some(path) = arguments::path(matches, "output-surface").filter(|_| !is_one_file) else { return Ok(()) };
+    outputs.retain(|(name, _)| *name != "output-surface");
+    let Some(place) = file_names::resolved(path) else { return Ok(()) };
+    for (name, other) in inputs.iter().chain(&*outputs) {
+        if file_names::resolved(other).is_some_and(|other| job_outputs::is_surface_of_labels(&place, &other)) {
+            return Err(file_names::clash("output-surface", other, name));
+        }
+    }
+    Ok(())
 }
 
 fn run_pipeline(

@@ -9,6 +9,7 @@ mod arguments;
 mod check;
 mod convert;
 mod exit_code;
+mod file_names;
 mod info;
 mod job_inputs;
 mod job_outputs;

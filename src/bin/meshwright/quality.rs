@@ -12,13 +12,14 @@ use meshwright::statistics::Statistics;
 use meshwright::{Error, Result, io};
 use serde_json::{Value, json};
 
-use crate::{arguments, job_inputs, report};
+use crate::{arguments, file_names, job_inputs, report};
 
 /// Prints the figures.
 ///
 /// # Errors
 /// Those of the readers.
 pub fn run(matches: &ArgMatches) -> Result<()> {
+    file_names::refuse_clashes_of(matches, &["mesh", "image", "surface"], &["json"])?;
     let path = arguments::path(matches, "mesh").expect("clap requires the mesh");
     let mesh = job_inputs::lps_mesh(path)?;
     if mesh.element_count() == 0 {
@@ -37,9 +38,10 @@ pub fn run(matches: &ArgMatches) -> Result<()> {
         figures.extend(&compared);
     }
     if let Some(surface) = arguments::path(matches, "surface") {
-        figures.extend(&evaluation::compare_with_surface(&mesh, &io::read_surface(surface)?));
+        let surface = io::read_surface(surface)?;
+        figures.extend(&context.install(|| evaluation::compare_with_surface(&mesh, &surface)));
     }
-    let fault = check_mixed_mesh(&mesh).err().map(|violation| violation.to_string());
+    let fault = context.install(|| check_mixed_mesh(&mesh)).err().map(|violation| violation.to_string());
     match arguments::path(matches, "json") {
         Some(target) => {
             let value = json!({

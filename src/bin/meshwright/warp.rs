@@ -9,7 +9,8 @@ use meshwright::context::RunContext;
 use meshwright::pipeline::warp::{Direction, Interpolation, warp_image, warp_points};
 use meshwright::{Error, Result, io};
 
-use crate::arguments;
+use crate::arguments::{self, Content};
+use crate::file_names;
 use crate::job_inputs::lps_mesh;
 
 /// The flags of the subcommand.
@@ -37,6 +38,7 @@ pub fn run(matches: &ArgMatches) -> Result<()> {
     let (Some(input), Some(output), Some(field)) = (path("input"), path("output"), path("field")) else {
         return Err(Error::State { reason: "input, output and --field are needed".into() });
     };
+    file_names::refuse_clashes_of(matches, &["input", "field", "reference"], &["output"])?;
     io::check_writable(output)?;
     let field = io::read_image(field)?;
     let direction = if matches.get_flag("to-moving") { Direction::FixedToMoving } else { Direction::MovingToFixed };
@@ -59,8 +61,11 @@ pub fn run(matches: &ArgMatches) -> Result<()> {
         return io::write_atomically(output, |out| out.write_all(text.as_bytes()));
     }
     let mut mesh = lps_mesh(input)?;
+    // A format of surfaces would lose the elements without a word.
+    let content = if mesh.element_count() > 0 { Content::Elements } else { Content::Any };
+    let options = arguments::write_options(matches, output, content)?;
     warp_points(&mut mesh.points, &field, direction)?;
-    io::write_mesh(&mesh, output, &io::WriteOptions::default())
+    io::write_mesh(&mesh, output, &options)
 }
 
 /// The last three columns of each row; lines of names and comments before the first numbers are passed over.
