@@ -330,8 +330,9 @@ fn longest_side(image: &LabelImage) -> f64 {
     (DVec3::from_array(grid.size().map(|s| s as f64)) * grid.spacing()).max_element()
 }
 
-/// The thesis's spacing, smaller for small images, larger for large voxels, moved by a factor of at most the root of two so that halving it ends
-/// where boundaries are resolved: a step that lands a little above that is halved once more, for eight times the elements.
+/// The thesis's spacing, smaller for small images, larger for large voxels, moved by a factor of at most the root of two so that
+/// halving it ends where boundaries are resolved: a step that lands a little above that is halved once more, for eight times the
+/// elements.
 fn adapted_spacing(image: &LabelImage) -> f64 {
     let voxel = (image.grid().spacing().length_squared() / 3.0).sqrt();
     let resolved = subdivision_criteria::RESOLVED_EDGE * voxel;
