@@ -19,8 +19,7 @@
 //!
 //! # Invariants
 //! Never more tets are low than before, and the lowest is no lower. No vertex between two labels ends farther off their surface than
-//! the slack, or than the farthest around was. A vertex on the image border stays in its plane, and a
-//! fixed vertex where it is.
+//! the slack, or than the farthest around was. A vertex on the image border stays in its plane, and a fixed vertex where it is.
 //!
 //! # Cost
 //! At most 19 perturbations per low tet and a budget for the mesh; each touches a few rings of tets.

@@ -71,12 +71,12 @@ const MOST_BENDING_STEPS: usize = 400;
 
 /// Part of the bending steps before the roughness is looked at. On images of sinusoids of 12 voxels length and on a brain's
 /// staircase 0.5 and 0.6 give the same; with all steps before, margins are raised too late and sinusoids are off by 0.082 voxel in the
-/// mean instead of 0.073.
+/// mean instead of 0.074.
 const FIRST_STEPS: f64 = 0.6;
 
 /// Roughness of a label, at the median, below which it gets more bending steps, as many times more as the square of what it is below,
-/// and at most `MOST_TIMES`. On balls of 16 to 24 voxels the distance of the surface is at most 0.29, 0.12, 0.06 voxel in the mean with
-/// 50, 100 and 200 steps; small balls and tori lose with more than 100.
+/// and at most `MOST_TIMES`. On balls of 16 to 24 voxels, with the small margin, the distance of the surface is at most 0.27, 0.12, 0.06
+/// voxel in the mean with 50, 100 and 200 steps; small balls and tori lose with more than 50.
 const SMOOTH_LABEL: f32 = 0.065;
 const MOST_TIMES: f32 = 3.0;
 const MOST_SMOOTH_STEPS: usize = 800;
@@ -84,9 +84,9 @@ const MOST_SMOOTH_STEPS: usize = 800;
 /// Least distance to the surface, of the distance to the other side: how far the surface stays from the voxel centres. The first is for
 /// places of at most `SMOOTH` roughness, the last for those of `ROUGH` and more.
 ///
-/// With 0.02, 0.05, 0.12 everywhere the surface is off by 0.022, 0.023, 0.052 voxel in the mean on large balls, by 0.012, 0.018,
-/// 0.055 on oblique planes; but sinusoids of 12 voxels length and box corners are rounded, by 0.09, 0.075, 0.073 and 0.15, 0.14,
-/// 0.12, and 95 % of a brain's staircase are within 0.64, 0.63, 0.60 voxel. With margins by roughness it is 0.59.
+/// With 0.02 and 0.12 everywhere, and as many steps for all, the surface is off by 0.027 and 0.052 voxel in the mean on large balls, by
+/// 0.029 and 0.055 on oblique planes; but sinusoids of 12 voxels length and box corners are rounded, by 0.111 and 0.073, 0.138 and
+/// 0.116, and 95 % of a brain's staircase are within 0.64 and 0.60 voxel. By roughness: 0.017, 0.016, 0.074, 0.115 and 0.59.
 const MARGIN: f32 = 0.02;
 const ROUGH_MARGIN: f32 = 0.14;
 const SMOOTH: f32 = 0.05;
