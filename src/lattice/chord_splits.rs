@@ -84,7 +84,7 @@ impl Chord {
 /// Where a new vertex may begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Start {
-    /// Some of the way from the middle to the surface.
+    /// Some of the way from the middle to the surface, where no triangle lies upside down.
     Nearer,
     /// Also in the middle itself.
     Anywhere,
@@ -242,7 +242,7 @@ pub fn insert_in_chord(
     let needed = Threshold::of(before.min(bound));
     let [middle, goal] = ends;
     let place = |mesh: &mut ImprovementMesh, m: u32| {
-        place_first(mesh, m, middle, goal, &needed)
+        place_first(mesh, m, middle, goal, &needed) && (begin == Start::Anywhere || is_upright(mesh, m))
             || begin == Start::Anywhere && mesh.lowest(mesh.ball(m)) >= bound.min(before)
     };
     let is_in = match &chord {
@@ -250,6 +250,27 @@ pub fn insert_in_chord(
         Chord::Face(corners, _) => insert_between(mesh, corners, &tets, middle, sides, place),
     };
     is_in.then(|| (mesh.points.len() as u32 - 1, ends))
+}
+
+/// Whether all surface triangles at a vertex look where the surface does there. The halves of a triangle that lies upside down do not:
+/// folds would grow finer.
+fn is_upright(mesh: &ImprovementMesh, v: u32) -> bool {
+    let at = |v: u32| mesh.points[v as usize];
+    // Most vertices lie between two labels: one normal is asked for.
+    let mut known = None;
+    mesh.surface_faces(v).iter().all(|face| {
+        let [inner, outer] = mesh.labels_beside(face);
+        let pair = [inner.min(outer), inner.max(outer)];
+        let normal = match known {
+            Some((of, normal)) if of == pair => normal,
+            _ => mesh.surface.signed_distance(at(v), pair[0], pair[1]).map(|(_, normal)| normal),
+        };
+        known = Some((pair, normal));
+        let [w, u] = face.others;
+        let outward = (at(w) - at(v)).cross(at(u) - at(v));
+        // The normal leads into the first label of the pair; in a border plane there is no surface.
+        is_in_border(mesh, [v, w, u]) || normal.is_none_or(|normal| (outward.dot(normal) < 0.0) == (inner == pair[0]))
+    })
 }
 
 /// Where the line through the middle of a face along its outward normal meets the surface between the labels of its sides.
@@ -283,9 +304,20 @@ mod tests {
     use crate::image::label_image::LabelImage;
     use crate::lattice::options::{Options, PARAMETERS};
     use crate::lattice::test_images::voxel_image;
-    use crate::lattice::test_meshes::with_edge_on_ball;
+    use crate::lattice::test_meshes::{with_edge_on_ball, with_fold};
     use crate::mesh::validation::check_mixed_mesh;
     use crate::parameters::ParameterSet;
+
+    #[test]
+    fn a_triangle_that_lies_upside_down_is_not_split() {
+        with_fold(Label(2), |mut mesh| {
+            let chord = Chord::Edge([0, 1], 4);
+            assert_eq!(insert_in_chord(&mut mesh, chord, 0.1, (Start::Nearer, Towards::Crease)), None);
+            // The edge between the upright triangles is split, at the same price.
+            mesh.move_vertex(2, DVec3::new(2.5, 4.0, 4.55));
+            assert!(insert_in_chord(&mut mesh, chord, 0.1, (Start::Nearer, Towards::Crease)).is_some());
+        });
+    }
 
     /// How many chords were split, and the farthest middle of a surface triangle from where `distance` is 0.
     fn split(image: &LabelImage, distance: impl Fn(DVec3) -> f64) -> (f64, f64) {

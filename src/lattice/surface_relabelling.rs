@@ -1,4 +1,4 @@
-//! Tets between vertices of a surface that lie on its other side take the label of that side.
+//! Tets between vertices of a surface that lie on its other side, or turn its triangles upside down, take the label of that side.
 //!
 //! # Method
 //! 1. A tet whose four vertices all lie on the surface between two labels is on neither side by its vertices. The lattice gave
@@ -9,13 +9,23 @@
 //!    without holes, and no edge or vertex is pinched.
 //! 3. So does a tet with one vertex inside of its label, which lies beyond or about on the surface too, where it touches the other
 //!    label in the face opposite: the vertex becomes one of the surface. Tongues of a wall across a vessel go so.
-//! 4. What this uncovers is looked at again, until nothing is beyond.
+//! 4. A tet whose four vertices all lie on the surface also goes where fewer triangles lie upside down then: those of its faces that
+//!    are on the surface go, the others come. The deformation brings each vertex to its surface by itself, so that one may pass
+//!    over the opposite edge of a triangle. The middle of the tet is about on the surface, or it would come back for that. Other
+//!    labels may meet in its vertices, as long as none touches its faces.
+//! 5. What this uncovers is looked at again, until nothing is beyond.
 //! ```text
 //!     wall    wall                      wall    wall
 //!     -----p-------q-----               -----p-------q-----
 //!     vessel \wall/ vessel      ->      vessel \   /  vessel      all corners on the surface, two faces to the vessel
 //!     ---------r---------               ---------r---------
 //!             wall                              wall
+//!
+//!     a                       a
+//!     |\ \                     \ \          seen from outside: the vertex c has passed over the edge a b,
+//!     |  c   d        ->        c---d       the triangle a b c lies upside down over a b d;
+//!     |/ /                     / /          the surface takes the other faces of the tet a b c d
+//!     b                       b
 //! ```
 //!
 //! # Source
@@ -25,7 +35,8 @@
 //! No two labels touch that did not; every label keeps its pieces, holes and cavities. Points and tets stay as they are.
 //!
 //! # Cost
-//! One distance per tet whose vertices all lie on one surface, but one perhaps, in parallel; the changes are few.
+//! One distance per tet whose vertices all lie on one surface, but one perhaps, and up to four normals where two of its faces do, in
+//! parallel; the changes are few.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -34,6 +45,7 @@ use crate::index::Label;
 use crate::lattice::element_score::{Part, tet_score};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::subvoxel_surface::Side;
+use crate::mesh::numbering::TET_FACES;
 
 /// Times that the neighbours of what changed are looked at: tets of a wall lie a few deep.
 const PASSES: usize = 4;
@@ -47,19 +59,31 @@ const CHUNK: usize = 4096;
 /// Which tets go to the other side.
 #[derive(Debug, Clone, Copy)]
 pub struct RelabellingBounds {
-    /// By how much their middles lie beyond the surface at least, mm.
+    /// By how much their middles lie beyond the surface at least, mm; those of the tets that go for their triangles are no farther on
+    /// their own side.
     pub tolerance: f64,
+    /// What they go for.
+    pub causes: Causes,
     /// Whether a tet with one vertex inside may go: for vessels, whose surfaces are known well.
     pub one_inside: bool,
     /// Score above which a tet of the scaffold may become one of the mesh, degrees.
     pub least_score: f64,
 }
 
-/// Gives the other label to tets that lie beyond their surface. Returns how many.
+/// Why tets go to the other side.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Causes {
+    /// They lie beyond the surface, or fewer triangles lie upside down without them.
+    All,
+    /// Fewer triangles lie upside down without them.
+    UpsideDown,
+}
+
+/// Gives the other label to tets that lie beyond their surface, or have triangles of it upside down. Returns how many.
 pub fn relabel_beyond_surface(mesh: &mut ImprovementMesh, bounds: &RelabellingBounds) -> usize {
     let mut changed = 0;
     let all = (0..mesh.tets.len() as u32).into_par_iter().with_min_len(CHUNK);
-    let mut beyond: Vec<(f64, u32)> = all.filter_map(|t| Some((depth_beyond(mesh, t, bounds)?, t))).collect();
+    let mut beyond: Vec<(f64, u32)> = all.filter_map(|t| Some((cause_of(mesh, t, bounds)?, t))).collect();
     for _ in 0..PASSES {
         beyond.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
         let mut around = Vec::new();
@@ -74,7 +98,7 @@ pub fn relabel_beyond_surface(mesh: &mut ImprovementMesh, bounds: &RelabellingBo
                 around.extend(mesh.tets[t as usize]);
             }
         }
-        beyond = mesh.tets_of(around).into_iter().filter_map(|t| Some((depth_beyond(mesh, t, bounds)?, t))).collect();
+        beyond = mesh.tets_of(around).into_iter().filter_map(|t| Some((cause_of(mesh, t, bounds)?, t))).collect();
         if beyond.is_empty() {
             break;
         }
@@ -115,16 +139,88 @@ fn labels_of(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
     (own == a || own == b).then_some(Between { own, other, inner })
 }
 
+/// How a tet lies whose vertices are all on the surface between two labels and perhaps on others; `None` for others, at the border
+/// of the image, and where its faces touch a third label.
+fn labels_of_faces(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
+    let is_on_surface = || mesh.tets[t as usize].iter().all(|v| mesh.is_on_surface(*v));
+    if !mesh.is_live(t) || !is_on_surface() || !has_face_in_star(mesh, t) {
+        return None;
+    }
+    let own = mesh.labels[t as usize];
+    let mut other = None;
+    for face in 0..4 {
+        let label = mesh.labels[mesh.neighbor(t, face)? as usize];
+        if label != own && *other.get_or_insert(label) != label {
+            return None;
+        }
+    }
+    let other = other?;
+    let is_between = |v: &u32| {
+        let sides = mesh.sides(*v);
+        [own, other].iter().all(|label| sides.contains(&Side::Label(*label)))
+            && !sides.iter().any(|side| matches!(side, Side::Border(_)))
+    };
+    mesh.tets[t as usize].iter().all(is_between).then_some(Between { own, other, inner: None })
+}
+
+/// Whether a face of a tet is in the star of its first vertex: where two or more are on the surface, one is. `true` where the star is
+/// out of date.
+fn has_face_in_star(mesh: &ImprovementMesh, t: u32) -> bool {
+    let tet = &mesh.tets[t as usize];
+    let Some(star) = mesh.stars().of(tet[0]) else { return true };
+    star.iter().any(|face| {
+        face.inner == t || face.outer == Some(t) || face.outer.is_none() && face.others.iter().all(|v| tet.contains(v))
+    })
+}
+
+/// Why a tet is to go over: how far its middle lies beyond its surface, mm, or 0 where only its triangles are upside down.
+fn cause_of(mesh: &ImprovementMesh, t: u32, bounds: &RelabellingBounds) -> Option<f64> {
+    let beyond = if bounds.causes == Causes::All { depth_beyond(mesh, t, bounds) } else { None };
+    beyond.or_else(|| turns_triangles(mesh, t, bounds).then_some(0.0))
+}
+
+fn middle_of(mesh: &ImprovementMesh, t: u32) -> DVec3 {
+    mesh.corners(t).into_iter().sum::<DVec3>() / 4.0
+}
+
+/// Only the scaffold may have inverted tets, and low ones.
+fn is_sound(mesh: &ImprovementMesh, t: u32, bounds: &RelabellingBounds) -> bool {
+    mesh.part(t) == Part::Mesh || tet_score(mesh.corners(t)) > bounds.least_score
+}
+
+/// Whether fewer triangles of the surface lie upside down once a tet has gone over.
+fn turns_triangles(mesh: &ImprovementMesh, t: u32, bounds: &RelabellingBounds) -> bool {
+    let Some(Between { own, other, .. }) = labels_of_faces(mesh, t) else { return false };
+    let is_on_surface = |face: &usize| mesh.neighbor(t, *face).is_some_and(|n| mesh.labels[n as usize] == other);
+    let (on, within): (Vec<usize>, Vec<usize>) = (0..4).partition(is_on_surface);
+    if on.len() < 2 || !is_sound(mesh, t, bounds) {
+        return false;
+    }
+    // Whether a face looks away from its own label, as the surface does there: its normal leads into the own label.
+    let looks_out = |face: &usize| {
+        let [a, b, c] = TET_FACES[*face].map(|corner| mesh.points[mesh.tets[t as usize][corner] as usize]);
+        let surface = mesh.surface.signed_distance((a + b + c) / 3.0, own, other);
+        surface.map(|(_, normal)| (b - a).cross(c - a).dot(normal) < 0.0)
+    };
+    // Faces on the surface are to look out; the others look back into the tet once they are on it.
+    let count = |faces: &[usize], upside_down: bool| {
+        let looks: Option<Vec<bool>> = faces.iter().map(looks_out).collect();
+        looks.map(|looks| looks.into_iter().filter(|out| *out == upside_down).count())
+    };
+    // Else it would come back for where its middle lies.
+    let is_deep = || mesh.surface.depth(middle_of(mesh, t), own, other).is_none_or(|depth| depth > bounds.tolerance);
+    count(&on, false).is_some_and(|before| before > 0 && count(&within, true).is_some_and(|after| after < before))
+        && !is_deep()
+}
+
 /// How far the middle of a tet lies beyond its surface, mm, where that is more than asked.
 fn depth_beyond(mesh: &ImprovementMesh, t: u32, bounds: &RelabellingBounds) -> Option<f64> {
     let Between { own, other, inner } = labels_of(mesh, t)?;
     if inner.is_some() && !bounds.one_inside {
         return None;
     }
-    let middle = mesh.corners(t).into_iter().sum::<DVec3>() / 4.0;
-    // Only the scaffold may have inverted tets, and low ones.
-    let is_sound = || mesh.part(t) == Part::Mesh || tet_score(mesh.corners(t)) > bounds.least_score;
-    let depth = mesh.surface.depth(middle, other, own).filter(|depth| *depth > bounds.tolerance && is_sound())?;
+    let depth = mesh.surface.depth(middle_of(mesh, t), other, own);
+    let depth = depth.filter(|depth| *depth > bounds.tolerance && is_sound(mesh, t, bounds))?;
     let comes_nearer =
         |corner: usize| mesh.surface.depth(mesh.corners(t)[corner], other, own).is_some_and(|at| at > -NEARER * depth);
     inner.is_none_or(comes_nearer).then_some(depth)
@@ -132,7 +228,7 @@ fn depth_beyond(mesh: &ImprovementMesh, t: u32, bounds: &RelabellingBounds) -> O
 
 /// A tet that may take the other label without a change of topology.
 fn may_go_over(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
-    let between = labels_of(mesh, t)?;
+    let between = labels_of(mesh, t).or_else(|| labels_of_faces(mesh, t))?;
     let Between { own, other, inner } = between;
     let tet = mesh.tets[t as usize];
     // Whether another tet of a label has all of some vertices.
@@ -162,7 +258,7 @@ fn may_go_over(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
         // The vertex of all three faces becomes one inside.
         [_, _, _] => {
             let apex = (0..4).find(|face| !towards.contains(face)).map(|face| tet[face])?;
-            !mesh.fixed[apex as usize] && !touches(&[apex], own)
+            !mesh.fixed[apex as usize] && mesh.sides(apex).len() == 2 && !touches(&[apex], own)
         }
         _ => false,
     };
@@ -176,14 +272,15 @@ mod tests {
     use crate::index::VertexId;
     use crate::lattice::options::{Options, PARAMETERS};
     use crate::lattice::test_images::{fork_distance, voxel_image};
-    use crate::lattice::test_meshes::with_tets;
+    use crate::lattice::test_meshes::{FOLDED, with_fold, with_tets};
     use crate::mesh::validation::check_mixed_mesh;
     use crate::parameters::ParameterSet;
 
     /// The tet in the middle of [`with_inner_tet`].
     const INNER: u32 = 14;
 
-    const ALL: RelabellingBounds = RelabellingBounds { tolerance: 0.0, one_inside: true, least_score: 0.0 };
+    const ALL: RelabellingBounds =
+        RelabellingBounds { tolerance: 0.0, causes: Causes::All, one_inside: true, least_score: 0.0 };
 
     /// Works on a tet of label 1 with the corners 0 to 3 in a larger one with the corners 4 to 7, turned against it: each set
     /// of inner corners makes a tet with the outer ones of the others. Those of `sets` have label 2, the rest 1; the middle lies
@@ -245,6 +342,67 @@ mod tests {
             mesh.relabel(INNER, Label(2));
             assert!(!mesh.is_on_surface(3) && mesh.is_on_surface(0));
         });
+    }
+
+    #[test]
+    fn a_tet_under_a_triangle_upside_down_goes_over_also_where_a_third_label_meets_its_vertex() {
+        let near = RelabellingBounds { tolerance: 0.1, ..ALL };
+        let only_turned = RelabellingBounds { causes: Causes::UpsideDown, ..near };
+        for (beside, bounds) in [(2, near), (2, only_turned), (3, only_turned)] {
+            with_fold(Label(beside), |mut mesh| {
+                // The outside is a side of all vertices.
+                assert_eq!(mesh.sides(3).len(), usize::from(beside) + 1);
+                assert_eq!(relabel_beyond_surface(&mut mesh, &bounds), 1);
+                assert_eq!(mesh.labels[FOLDED as usize], Label(1));
+                // The triangles are those at the other diagonal, and stay.
+                assert!(mesh.surface_faces(2).iter().all(|face| face.others != [0, 1] && face.others != [1, 0]));
+                assert_eq!(relabel_beyond_surface(&mut mesh, &bounds), 0);
+            });
+        }
+    }
+
+    #[test]
+    fn a_tet_with_upright_triangles_or_a_third_label_at_a_face_or_far_on_its_side_stays() {
+        let near = RelabellingBounds { tolerance: 0.1, ..ALL };
+        with_fold(Label(2), |mut mesh| {
+            // The vertex lies on its side of the edge again.
+            mesh.move_vertex(2, DVec3::new(3.2, 4.0, 4.55));
+            assert_eq!(relabel_beyond_surface(&mut mesh, &near), 0);
+        });
+        with_fold(Label(2), |mut mesh| {
+            mesh.labels[FOLDED as usize + 1] = Label(3);
+            assert_eq!(relabel_beyond_surface(&mut mesh, &near), 0);
+        });
+        with_fold(Label(2), |mut mesh| {
+            (0..8).for_each(|v| mesh.points[v].z += 0.3);
+            assert_eq!(relabel_beyond_surface(&mut mesh, &near), 0);
+        });
+    }
+
+    #[test]
+    fn hardly_a_triangle_of_a_wavy_surface_lies_upside_down() {
+        // A sum of plane waves, cut by a ball: by its slope and its phase each.
+        let waves = [
+            (DVec3::new(0.36, 0.09, 0.02), 5.38),
+            (DVec3::new(-0.65, -0.1, -0.12), 2.64),
+            (DVec3::new(-0.01, -0.14, -0.39), 3.55),
+            (DVec3::new(0.5, 0.03, -0.23), 2.49),
+            (DVec3::new(0.23, -0.26, -0.28), 4.68),
+        ];
+        let value = |p: DVec3| waves.iter().map(|(way, phase)| (way.dot(p) + phase).sin()).sum::<f64>();
+        let slope = |p: DVec3| waves.iter().map(|(way, phase)| *way * (way.dot(p) + phase).cos()).sum::<DVec3>();
+        let middle = DVec3::splat(24.5);
+        let image = voxel_image(50, |p| u16::from(value(p) > 0.0 && p.distance(middle) < 22.0));
+        let options = Options::from_parameters(&ParameterSet::new(PARAMETERS)).unwrap();
+        let mesh = crate::lattice::run(&image, &options, &RunContext::with_threads(1).unwrap()).unwrap().0.mesh;
+        let is_upside_down = |[a, b, c]: [DVec3; 3]| {
+            let center = (a + b + c) / 3.0;
+            center.distance(middle) < 20.0 && (b - a).cross(c - a).dot(slope(center)) > 0.0
+        };
+        let triangles = mesh.boundary.triangles.iter().map(|triangle| triangle.map(|v| mesh.points[v.index()]));
+        let upside_down = triangles.filter(|corners| is_upside_down(*corners)).count();
+        // Measured 2; 22 where none is turned over and all chords are split.
+        assert!(mesh.boundary.triangles.len() > 5000 && upside_down <= 4, "{upside_down}");
     }
 
     #[test]
