@@ -310,7 +310,7 @@ mod tests {
 
     #[test]
     fn a_triangle_that_lies_upside_down_is_not_split() {
-        with_fold(Label(2), |mut mesh| {
+        with_fold([Label(2); 2], |mut mesh| {
             let chord = Chord::Edge([0, 1], 4);
             assert_eq!(insert_in_chord(&mut mesh, chord, 0.1, (Start::Nearer, Towards::Crease)), None);
             // The edge between the upright triangles is split, at the same price.

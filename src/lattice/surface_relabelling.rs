@@ -12,7 +12,7 @@
 //! 4. A tet whose four vertices all lie on the surface also goes where fewer triangles lie upside down then: those of its faces that
 //!    are on the surface go, the others come. The deformation brings each vertex to its surface by itself, so that one may pass
 //!    over the opposite edge of a triangle. The middle of the tet is about on the surface, or it would come back for that. Other
-//!    labels may meet in its vertices, as long as none touches its faces.
+//!    labels may meet in its vertices, as long as none touches its faces or the edges that its faces share.
 //! 5. What this uncovers is looked at again, until nothing is beyond.
 //! ```text
 //!     wall    wall                      wall    wall
@@ -231,10 +231,10 @@ fn may_go_over(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
     let between = labels_of(mesh, t).or_else(|| labels_of_faces(mesh, t))?;
     let Between { own, other, inner } = between;
     let tet = mesh.tets[t as usize];
-    // Whether another tet of a label has all of some vertices.
-    let touches = |vertices: &[u32], label: Label| {
+    // Whether all other tets that have all of some vertices are of a label. A third one beside an edge would part the label there.
+    let are_all = |vertices: &[u32], label: Label| {
         let has_all = |n: &u32| vertices[1..].iter().all(|v| mesh.tets[*n as usize].contains(v));
-        mesh.ball(vertices[0]).iter().any(|n| *n != t && mesh.labels[*n as usize] == label && has_all(n))
+        mesh.ball(vertices[0]).iter().all(|n| *n == t || mesh.labels[*n as usize] == label || !has_all(n))
     };
     let mut towards = Vec::new();
     for face in 0..4 {
@@ -253,12 +253,12 @@ fn may_go_over(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
         [one, two] => {
             let ends = [tet[one], tet[two]];
             let rest: Vec<u32> = [a, b, c, d].into_iter().filter(|v| !ends.contains(v)).collect();
-            !touches(&ends, other) && !touches(&rest, own)
+            are_all(&ends, own) && are_all(&rest, other)
         }
         // The vertex of all three faces becomes one inside.
         [_, _, _] => {
             let apex = (0..4).find(|face| !towards.contains(face)).map(|face| tet[face])?;
-            !mesh.fixed[apex as usize] && mesh.sides(apex).len() == 2 && !touches(&[apex], own)
+            !mesh.fixed[apex as usize] && are_all(&[apex], other)
         }
         _ => false,
     };
@@ -349,7 +349,7 @@ mod tests {
         let near = RelabellingBounds { tolerance: 0.1, ..ALL };
         let only_turned = RelabellingBounds { causes: Causes::UpsideDown, ..near };
         for (beside, bounds) in [(2, near), (2, only_turned), (3, only_turned)] {
-            with_fold(Label(beside), |mut mesh| {
+            with_fold([Label(beside), Label(2)], |mut mesh| {
                 // The outside is a side of all vertices.
                 assert_eq!(mesh.sides(3).len(), usize::from(beside) + 1);
                 assert_eq!(relabel_beyond_surface(&mut mesh, &bounds), 1);
@@ -362,19 +362,21 @@ mod tests {
     }
 
     #[test]
-    fn a_tet_with_upright_triangles_or_a_third_label_at_a_face_or_far_on_its_side_stays() {
+    fn a_tet_with_upright_triangles_or_a_third_label_at_a_face_or_an_edge_or_far_on_its_side_stays() {
         let near = RelabellingBounds { tolerance: 0.1, ..ALL };
-        with_fold(Label(2), |mut mesh| {
+        with_fold([Label(2); 2], |mut mesh| {
             // The vertex lies on its side of the edge again.
             mesh.move_vertex(2, DVec3::new(3.2, 4.0, 4.55));
             assert_eq!(relabel_beyond_surface(&mut mesh, &near), 0);
         });
-        with_fold(Label(2), |mut mesh| {
+        with_fold([Label(2); 2], |mut mesh| {
             mesh.labels[FOLDED as usize + 1] = Label(3);
             assert_eq!(relabel_beyond_surface(&mut mesh, &near), 0);
         });
-        with_fold(Label(2), |mut mesh| {
-            (0..8).for_each(|v| mesh.points[v].z += 0.3);
+        // Label 2 would end on both sides of the edge 2 3, with label 3 and the tet between.
+        with_fold([Label(2), Label(3)], |mut mesh| assert_eq!(relabel_beyond_surface(&mut mesh, &near), 0));
+        with_fold([Label(2); 2], |mut mesh| {
+            mesh.points.iter_mut().for_each(|p| p.z += 0.3);
             assert_eq!(relabel_beyond_surface(&mut mesh, &near), 0);
         });
     }

@@ -54,17 +54,18 @@ pub fn with_edge_on_ball<T>(half: f64, order: [usize; 4], work: impl FnOnce(Impr
 
 /// Works on the tets around the edge 0 1 of a flat surface between label 1 below and label 2: the triangle to the vertex 2 lies
 /// upside down over that to the vertex 3, with a flat tet of label 2, the slot [`FOLDED`], between them. At the vertex 3 a tet of the
-/// label `beside` begins.
-pub fn with_fold<T>(beside: Label, work: impl FnOnce(ImprovementMesh) -> T) -> T {
+/// label `beside` begins, one of the label `above` has the edge 2 3 across from the flat one.
+pub fn with_fold<T>([beside, above]: [Label; 2], work: impl FnOnce(ImprovementMesh) -> T) -> T {
     let at = |x: f64, y: f64, z: f64| DVec3::new(4.0 + x, 4.0 + y, 4.5 + z);
     let edge = [at(0.0, -1.0, 0.0), at(0.0, 1.0, 0.0)];
     let ring = [at(0.5, 0.0, 0.15), at(2.0, 0.0, 0.0), at(0.6, 0.0, -1.6), at(-1.5, 0.0, -0.6), at(-0.4, 0.0, 1.0)];
-    let points = edge.into_iter().chain(ring).chain([at(1.4, 0.0, 1.6)]);
-    let points = points.chain([at(3.0, -0.5, 0.7), at(3.0, 0.5, 0.7), at(3.0, 0.0, 1.4)]).collect();
+    let points = edge.into_iter().chain(ring).chain([at(1.4, -0.4, 1.6)]);
+    let points = points.chain([at(3.0, -0.5, 0.7), at(3.0, 0.5, 0.7), at(3.0, 0.0, 1.4), at(1.4, 0.4, 1.6)]).collect();
     let below = [[0, 1, 3, 4], [0, 1, 4, 5], [0, 1, 5, 6], [0, 1, 6, 2]].map(|tet| (tet, Label(1)));
-    let above = [[0, 1, 2, 3], [0, 2, 3, 7], [1, 2, 3, 7]].map(|tet| (tet, Label(2)));
+    let over = [[0, 1, 2, 3], [0, 2, 3, 7], [1, 2, 3, 11]].map(|tet| (tet, Label(2)));
+    let others = [([2, 3, 7, 11], above), ([3, 8, 9, 10], beside)];
     let image = voxel_image(9, |p| if p.z < 4.5 { 1 } else { 2 });
-    with_tets(points, &[below.as_slice(), &above, &[([3, 8, 9, 10], beside)]].concat(), &image, work)
+    with_tets(points, &[below.as_slice(), &over, &others].concat(), &image, work)
 }
 
 /// The flat tet of [`with_fold`].

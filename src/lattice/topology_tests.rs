@@ -220,3 +220,26 @@ fn a_closed_cavity_of_eight_voxels_is_kept() {
         assert!(walls.count() >= 4, "{smoothing}");
     }
 }
+
+#[test]
+fn crowded_labels_in_crooked_sheets_do_not_pinch() {
+    // Where a sum of plane waves is positive, labels by the nearest of 24 places.
+    let middle = DVec3::splat(17.5);
+    for k in [0, 5] {
+        let wave = |p: DVec3, i: usize| {
+            let t = (7 * k + 3 * i + 1) as f64;
+            let way = DVec3::new((2.3 * t).sin(), (3.7 * t + 1.0).cos(), (1.9 * t + 2.0).sin()).normalize();
+            (way.dot(p) * std::f64::consts::TAU / (13.5 + 4.5 * (5.1 * t).sin()) + 2.7 * t).sin()
+        };
+        let place = |i: usize| {
+            let t = (i + 31 * k) as f64;
+            middle + 16.0 * DVec3::new((2.3 * t).sin(), (3.7 * t + 1.0).cos(), (1.9 * t + 2.0).sin())
+        };
+        let nearest =
+            |p: DVec3| (0..24).min_by(|l, r| place(*l).distance(p).total_cmp(&place(*r).distance(p))).unwrap();
+        let is_tissue = |p: DVec3| p.distance(middle) < 16.0 && (0..5).map(|i| wave(p, i)).sum::<f64>() > 0.0;
+        let crowded = image(36, |p| if is_tissue(p) { 1 + nearest(p) as u16 } else { 0 });
+        // Measured with triangles turned over also where a third label is at the edges: one edge with 0, two with 5.
+        assert_eq!(pinched(&mesh(&crowded, &[])), 0, "{k}");
+    }
+}
