@@ -272,8 +272,7 @@ pub fn improve(
             context.check()?;
         }
         if may_transform && RELABELLING_ROUNDS.contains(&round) {
-            summary.relabelled += relabel_beyond_surface(&mut work, &beyond);
-            context.check()?;
+            summary.relabelled += relabel_beyond_surface(&mut work, &beyond, context)?;
         }
         if may_transform && CHORD_ROUNDS.contains(&round) {
             work.refresh_stars();
@@ -310,7 +309,7 @@ pub fn improve(
     if options.transformations == Transformations::Local {
         summary.counts.short_edges +=
             contract_short_edges(&mut work, wanted, NEEDLE, NEEDLE_PASSES, Uncontracted::Lengthen, context)?;
-        summary.relabelled += relabel_beyond_surface(&mut work, &upside_down);
+        summary.relabelled += relabel_beyond_surface(&mut work, &upside_down, context)?;
         loosen_all(&mut work);
     }
     advance(ROUNDS + 1);
@@ -319,7 +318,8 @@ pub fn improve(
     let is_approached = options.transformations == Transformations::Local && has_vessels;
     if is_approached {
         // Vertices are where they are to be, so that what is still beyond is seen.
-        summary.relabelled += relabel_beyond_surface(&mut work, &RelabellingBounds { least_score: wanted, ..beyond });
+        let bounds = RelabellingBounds { least_score: wanted, ..beyond };
+        summary.relabelled += relabel_beyond_surface(&mut work, &bounds, context)?;
         work.refresh_stars();
         let far = chords(&work, CHORD * voxel);
         summary.counts.turned_edges += far.iter().filter(|(_, chord)| flip(&mut work, chord, wanted)).count();

@@ -41,6 +41,8 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::element_score::{Part, tet_score};
 use crate::lattice::improvement_mesh::ImprovementMesh;
@@ -55,6 +57,9 @@ const NEARER: f64 = 1.0;
 
 /// Tets per parallel work item.
 const CHUNK: usize = 4096;
+
+/// Tets that may go over between two looks at whether the run is cancelled.
+const TETS_PER_CHECK: usize = 1024;
 
 /// Which tets go to the other side.
 #[derive(Debug, Clone, Copy)]
@@ -80,14 +85,24 @@ pub enum Causes {
 }
 
 /// Gives the other label to tets that lie beyond their surface, or have triangles of it upside down. Returns how many.
-pub fn relabel_beyond_surface(mesh: &mut ImprovementMesh, bounds: &RelabellingBounds) -> usize {
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn relabel_beyond_surface(
+    mesh: &mut ImprovementMesh,
+    bounds: &RelabellingBounds,
+    context: &RunContext,
+) -> Result<usize> {
     let mut changed = 0;
     let all = (0..mesh.tets.len() as u32).into_par_iter().with_min_len(CHUNK);
+    let all = all.take_any_while(|_| !context.is_cancelled());
     let mut beyond: Vec<(f64, u32)> = all.filter_map(|t| Some((cause_of(mesh, t, bounds)?, t))).collect();
+    context.check()?;
     for _ in 0..PASSES {
         beyond.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
         let mut around = Vec::new();
-        for (_, t) in beyond {
+        for (at, (_, t)) in beyond.into_iter().enumerate() {
+            context.check_every(TETS_PER_CHECK, at)?;
             if let Some(Between { other, inner, .. }) = may_go_over(mesh, t) {
                 let tet = mesh.tets[t as usize];
                 mesh.relabel(t, other);
@@ -103,7 +118,7 @@ pub fn relabel_beyond_surface(mesh: &mut ImprovementMesh, bounds: &RelabellingBo
             break;
         }
     }
-    changed
+    Ok(changed)
 }
 
 /// A tet that may go to the other side of the surface between two labels.
@@ -268,7 +283,6 @@ fn may_go_over(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::context::RunContext;
     use crate::index::VertexId;
     use crate::lattice::options::{Options, PARAMETERS};
     use crate::lattice::test_images::{fork_distance, voxel_image};
@@ -281,6 +295,10 @@ mod tests {
 
     const ALL: RelabellingBounds =
         RelabellingBounds { tolerance: 0.0, causes: Causes::All, one_inside: true, least_score: 0.0 };
+
+    fn relabelled(mesh: &mut ImprovementMesh, bounds: &RelabellingBounds) -> usize {
+        relabel_beyond_surface(mesh, bounds, &RunContext::with_threads(1).unwrap()).unwrap()
+    }
 
     /// Works on a tet of label 1 with the corners 0 to 3 in a larger one with the corners 4 to 7, turned against it: each set
     /// of inner corners makes a tet with the outer ones of the others. Those of `sets` have label 2, the rest 1; the middle lies
@@ -324,7 +342,7 @@ mod tests {
         with_inner_tet(&[0b1110], |mut mesh| {
             assert!(!mesh.is_on_surface(0) && mesh.is_on_surface(1));
             assert_eq!(depth_beyond(&mesh, INNER, &RelabellingBounds { one_inside: false, ..ALL }), None);
-            assert!(relabel_beyond_surface(&mut mesh, &ALL) > 0);
+            assert!(relabelled(&mut mesh, &ALL) > 0);
             assert_eq!(mesh.labels[INNER as usize], Label(2));
             assert!((0..4).all(|v| mesh.ball(v).iter().all(|t| mesh.labels[*t as usize] == Label(2)) != mesh.is_on_surface(v)));
         });
@@ -332,6 +350,17 @@ mod tests {
         with_inner_tet(&[0b1110], |mut mesh| {
             mesh.fixed[0] = true;
             assert_eq!(may_go_over(&mesh, INNER).map(|between| between.other), None);
+        });
+    }
+
+    #[test]
+    fn nothing_goes_over_once_the_run_is_cancelled() {
+        with_fold([Label(2); 2], |mut mesh| {
+            let context = RunContext::with_threads(1).unwrap();
+            context.cancel_token().cancel();
+            let result = relabel_beyond_surface(&mut mesh, &RelabellingBounds { tolerance: 0.1, ..ALL }, &context);
+            assert!(matches!(result, Err(crate::Error::Cancelled)));
+            assert_eq!(mesh.labels[FOLDED as usize], Label(2));
         });
     }
 
@@ -352,11 +381,11 @@ mod tests {
             with_fold([Label(beside), Label(2)], |mut mesh| {
                 // The outside is a side of all vertices.
                 assert_eq!(mesh.sides(3).len(), usize::from(beside) + 1);
-                assert_eq!(relabel_beyond_surface(&mut mesh, &bounds), 1);
+                assert_eq!(relabelled(&mut mesh, &bounds), 1);
                 assert_eq!(mesh.labels[FOLDED as usize], Label(1));
                 // The triangles are those at the other diagonal, and stay.
                 assert!(mesh.surface_faces(2).iter().all(|face| face.others != [0, 1] && face.others != [1, 0]));
-                assert_eq!(relabel_beyond_surface(&mut mesh, &bounds), 0);
+                assert_eq!(relabelled(&mut mesh, &bounds), 0);
             });
         }
     }
@@ -367,17 +396,17 @@ mod tests {
         with_fold([Label(2); 2], |mut mesh| {
             // The vertex lies on its side of the edge again.
             mesh.move_vertex(2, DVec3::new(3.2, 4.0, 4.55));
-            assert_eq!(relabel_beyond_surface(&mut mesh, &near), 0);
+            assert_eq!(relabelled(&mut mesh, &near), 0);
         });
         with_fold([Label(2); 2], |mut mesh| {
             mesh.labels[FOLDED as usize + 1] = Label(3);
-            assert_eq!(relabel_beyond_surface(&mut mesh, &near), 0);
+            assert_eq!(relabelled(&mut mesh, &near), 0);
         });
         // Label 2 would end on both sides of the edge 2 3, with label 3 and the tet between.
-        with_fold([Label(2), Label(3)], |mut mesh| assert_eq!(relabel_beyond_surface(&mut mesh, &near), 0));
+        with_fold([Label(2), Label(3)], |mut mesh| assert_eq!(relabelled(&mut mesh, &near), 0));
         with_fold([Label(2); 2], |mut mesh| {
             mesh.points.iter_mut().for_each(|p| p.z += 0.3);
-            assert_eq!(relabel_beyond_surface(&mut mesh, &near), 0);
+            assert_eq!(relabelled(&mut mesh, &near), 0);
         });
     }
 
