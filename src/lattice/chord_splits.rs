@@ -242,8 +242,11 @@ pub fn insert_in_chord(
     let needed = Threshold::of(before.min(bound));
     let [middle, goal] = ends;
     let place = |mesh: &mut ImprovementMesh, m: u32| {
-        place_first(mesh, m, middle, goal, &needed) && (begin == Start::Anywhere || is_upright(mesh, m))
-            || begin == Start::Anywhere && mesh.lowest(mesh.ball(m)) >= bound.min(before)
+        let is_nearer = place_first(mesh, m, middle, goal, &needed);
+        match begin {
+            Start::Nearer => is_nearer && is_upright(mesh, m),
+            Start::Anywhere => is_nearer || mesh.lowest(mesh.ball(m)) >= bound.min(before),
+        }
     };
     let is_in = match &chord {
         Chord::Edge(ends, _) => insert_between(mesh, ends, &tets, middle, sides, place),

@@ -154,28 +154,28 @@ fn labels_of(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
     (own == a || own == b).then_some(Between { own, other, inner })
 }
 
-/// How a tet lies whose vertices are all on the surface between two labels and perhaps on others; `None` for others, at the border
-/// of the image, and where its faces touch a third label.
-fn labels_of_faces(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
+/// How a tet lies whose vertices are all on the surface between two labels and perhaps on others, and what is behind its faces; `None`
+/// for others, at the border of the image, and where its faces touch a third label.
+fn labels_of_faces(mesh: &ImprovementMesh, t: u32) -> Option<(Between, [Label; 4])> {
     let is_on_surface = || mesh.tets[t as usize].iter().all(|v| mesh.is_on_surface(*v));
     if !mesh.is_live(t) || !is_on_surface() || !has_face_in_star(mesh, t) {
         return None;
     }
     let own = mesh.labels[t as usize];
-    let mut other = None;
-    for face in 0..4 {
-        let label = mesh.labels[mesh.neighbor(t, face)? as usize];
-        if label != own && *other.get_or_insert(label) != label {
-            return None;
-        }
+    let mut behind = [own; 4];
+    for (face, label) in behind.iter_mut().enumerate() {
+        *label = mesh.labels[mesh.neighbor(t, face)? as usize];
     }
-    let other = other?;
+    let other = behind.into_iter().find(|label| *label != own)?;
+    if behind.iter().any(|label| ![own, other].contains(label)) {
+        return None;
+    }
     let is_between = |v: &u32| {
         let sides = mesh.sides(*v);
         [own, other].iter().all(|label| sides.contains(&Side::Label(*label)))
             && !sides.iter().any(|side| matches!(side, Side::Border(_)))
     };
-    mesh.tets[t as usize].iter().all(is_between).then_some(Between { own, other, inner: None })
+    mesh.tets[t as usize].iter().all(is_between).then_some((Between { own, other, inner: None }, behind))
 }
 
 /// Whether a face of a tet is in the star of its first vertex: where two or more are on the surface, one is. `true` where the star is
@@ -205,9 +205,8 @@ fn is_sound(mesh: &ImprovementMesh, t: u32, bounds: &RelabellingBounds) -> bool 
 
 /// Whether fewer triangles of the surface lie upside down once a tet has gone over.
 fn turns_triangles(mesh: &ImprovementMesh, t: u32, bounds: &RelabellingBounds) -> bool {
-    let Some(Between { own, other, .. }) = labels_of_faces(mesh, t) else { return false };
-    let is_on_surface = |face: &usize| mesh.neighbor(t, *face).is_some_and(|n| mesh.labels[n as usize] == other);
-    let (on, within): (Vec<usize>, Vec<usize>) = (0..4).partition(is_on_surface);
+    let Some((Between { own, other, .. }, behind)) = labels_of_faces(mesh, t) else { return false };
+    let (on, within): (Vec<usize>, Vec<usize>) = (0..4).partition(|face| behind[*face] == other);
     if on.len() < 2 || !is_sound(mesh, t, bounds) {
         return false;
     }
@@ -243,7 +242,7 @@ fn depth_beyond(mesh: &ImprovementMesh, t: u32, bounds: &RelabellingBounds) -> O
 
 /// A tet that may take the other label without a change of topology.
 fn may_go_over(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
-    let between = labels_of(mesh, t).or_else(|| labels_of_faces(mesh, t))?;
+    let between = labels_of(mesh, t).or_else(|| labels_of_faces(mesh, t).map(|(between, _)| between))?;
     let Between { own, other, inner } = between;
     let tet = mesh.tets[t as usize];
     // Whether all other tets that have all of some vertices are of a label. A third one beside an edge would part the label there.
