@@ -54,6 +54,8 @@ pub fn find_lost(mesh: &mut CandidateMesh, image: &LabelImage) {
     let mut has_sought = vec![false; counts.iter().product()];
     sought.keys().for_each(|voxel| has_sought[number(voxel.map(|v| v / BLOCK))] = true);
     let label_of = |c: u32| components.components()[c as usize].label;
+    let mut has_small = vec![false; image.label_count()];
+    sought.values().for_each(|c| has_small[label_of(*c).index()] = true);
     let seen_by = |(corners, label): ([DVec3; 4], Label)| {
         let [low, high] = touched_box(&corners, image, NEAR);
         let beside = box_of(low.map(|v| v / BLOCK), high.map(|v| v / BLOCK)).any(|block| has_sought[number(block)]);
@@ -62,6 +64,7 @@ pub fn find_lost(mesh: &mut CandidateMesh, image: &LabelImage) {
         found.filter(move |c| label_of(*c) == label).collect::<Vec<u32>>()
     };
     let elements = mesh.tets.par_iter().zip(&mesh.tet_labels).with_min_len(CHUNK);
+    let elements = elements.filter(|(_, label)| has_small[label.index()]);
     let corners = elements.map(|(tet, label)| (tet.map(|v| mesh.points[v.index()]), *label));
     let mut seen: Vec<u32> = corners.flat_map_iter(seen_by).collect();
     seen.sort_unstable();

@@ -117,7 +117,10 @@ impl Bricks {
     fn chunk(&self, chunk: usize) -> impl Iterator<Item = (usize, [usize; 6])> {
         let first = chunk * (CHUNK / WIDTH);
         let end = (first + CHUNK / WIDTH).min(self.beside.len());
-        (first..end).map(|brick| ((brick + EMPTY_BRICKS) * WIDTH, self.beside[brick].map(|slot| slot as usize)))
+        // Written out: maps over arrays are not inlined into all loops over chunks.
+        let wide =
+            |[a, b, c, d, e, f]: [u32; 6]| [a as usize, b as usize, c as usize, d as usize, e as usize, f as usize];
+        (first..end).map(move |brick| ((brick + EMPTY_BRICKS) * WIDTH, wide(self.beside[brick])))
     }
 
     /// What an array has for the stored bricks.
@@ -229,28 +232,39 @@ impl<'a> Descent<'a> {
         self.take_bending();
         let Self { bricks, bending, terms, weights, rates, scale, .. } = &*self;
         let slots = bricks.slots();
-        // Sums of the weighted squares, and of their weights.
-        let of_voxel = |slot: &u32| {
-            let at = *slot as usize;
-            let mut sums = [0.0f32; 2];
-            for (neighbors, rate) in bricks.neighbors(*slot).into_iter().zip(rates) {
-                for other in neighbors {
-                    let common = terms[at] & terms[other];
-                    for (term, weight) in weights.iter().enumerate().filter(|(term, _)| common >> term & 1 != 0) {
-                        let [own, beside] = [at, other].map(|slot| bending[slot / WIDTH][term][slot % WIDTH]);
-                        sums[0] += rate * (own - beside).powi(2) / weight;
-                        sums[1] += rate;
+        // Sums of the weighted squares, and of their weights, for the voxels of a brick.
+        let of_brick = |(slot, beside): (usize, [usize; 6])| {
+            let [at, up, down, far, near, ..] = brick_numbers(slot, beside);
+            let own_terms = lanes(terms, slot);
+            let mut sums = [[0.0f32; WIDTH]; 2];
+            let directions = [slot + 1, slot - 1, beside[0], beside[1], beside[2], beside[3]];
+            for (direction, other) in directions.into_iter().enumerate() {
+                let (rate, other_terms) = (rates[direction / 2], lanes(terms, other));
+                for (term, weight) in weights.iter().enumerate() {
+                    let own = &bending[at][term];
+                    let other = match direction {
+                        0 => after(bending, at, term),
+                        1 => before(bending, at, term),
+                        _ => bending[[up, down, far, near][direction - 2]][term],
+                    };
+                    for l in 0..WIDTH {
+                        let is_common = own_terms[l] & other_terms[l] & 1 << term != 0;
+                        let difference = own[l] - other[l];
+                        sums[0][l] += where_true(is_common, rate * (difference * difference) / weight);
+                        sums[1][l] += where_true(is_common, rate);
                     }
                 }
             }
             sums
         };
-        let found: Vec<[f32; 2]> = slots.par_iter().with_min_len(CHUNK).map(of_voxel).collect();
-        let mut by_slot = vec![[0.0f32; 2]; self.values.len()];
-        slots.iter().zip(found).for_each(|(slot, sums)| by_slot[*slot as usize] = sums);
+        let mut by_brick = vec![[[0.0f32; WIDTH]; 2]; self.values.len() / WIDTH];
+        bricks.stored(&mut by_brick).par_chunks_mut(CHUNK / WIDTH).enumerate().for_each(|(chunk, rows)| {
+            rows.iter_mut().zip(bricks.chunk(chunk)).for_each(|(row, brick)| *row = of_brick(brick));
+        });
+        let sums_of = |slot: usize| by_brick[slot / WIDTH].map(|sums| sums[slot % WIDTH]);
         let with_neighbors = |slot: &u32| {
-            let beside = bricks.neighbors(*slot).into_iter().flatten().map(|other| by_slot[other]);
-            let [square, rates] = beside.fold(by_slot[*slot as usize], |l, r| [l[0] + r[0], l[1] + r[1]]);
+            let beside = bricks.neighbors(*slot).into_iter().flatten().map(sums_of);
+            let [square, rates] = beside.fold(sums_of(*slot as usize), |l, r| [l[0] + r[0], l[1] + r[1]]);
             // The rates of the three axes sum to a quarter: six terms of it are the square of all third derivatives.
             if rates > 0.0 { (1.5 * scale * square / rates).sqrt() } else { 0.0 }
         };
@@ -379,8 +393,8 @@ impl<'a> Descent<'a> {
 /// Numbers of a brick and of those beside it.
 #[inline]
 fn brick_numbers(slot: usize, [up, down, far, near, up_far, down_near]: [usize; 6]) -> [usize; 7] {
-    let of = |slot: usize| slot / WIDTH;
-    [of(slot), of(up), of(down), of(far), of(near), of(up_far), of(down_near)]
+    // Written out, as in `chunk`.
+    [slot / WIDTH, up / WIDTH, down / WIDTH, far / WIDTH, near / WIDTH, up_far / WIDTH, down_near / WIDTH]
 }
 
 /// The values one voxel before those of a brick.

@@ -35,8 +35,8 @@
 //! No two labels touch that did not; every label keeps its pieces, holes and cavities. Points and tets stay as they are.
 //!
 //! # Cost
-//! One distance per tet whose vertices all lie on one surface, but one perhaps, and up to four normals where two of its faces do, in
-//! parallel; the changes are few.
+//! One pass over the stars of surface vertices; one distance per tet that touches its surface in two faces (or one) and whose vertices
+//! all lie on that, but one perhaps, and up to four normals, in parallel. The changes are few.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -45,7 +45,7 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::element_score::{Part, tet_score};
-use crate::lattice::improvement_mesh::ImprovementMesh;
+use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace};
 use crate::lattice::subvoxel_surface::Side;
 use crate::mesh::numbering::TET_FACES;
 
@@ -55,8 +55,8 @@ const PASSES: usize = 4;
 /// How far its inner vertex may lie on the tet's own side, in what its middle lies beyond: the surface comes nearer all the same.
 const NEARER: f64 = 1.0;
 
-/// Tets per parallel work item.
-const CHUNK: usize = 4096;
+/// Tets or vertices per parallel work item.
+const CHUNK: usize = 1024;
 
 /// Tets that may go over between two looks at whether the run is cancelled.
 const TETS_PER_CHECK: usize = 1024;
@@ -94,9 +94,9 @@ pub fn relabel_beyond_surface(
     context: &RunContext,
 ) -> Result<usize> {
     let mut changed = 0;
-    let all = (0..mesh.tets.len() as u32).into_par_iter().with_min_len(CHUNK);
-    let all = all.take_any_while(|_| !context.is_cancelled());
-    let mut beyond: Vec<(f64, u32)> = all.filter_map(|t| Some((cause_of(mesh, t, bounds)?, t))).collect();
+    let candidates = tets_at_surface(mesh, bounds, context)?.into_par_iter().with_min_len(CHUNK);
+    let candidates = candidates.take_any_while(|_| !context.is_cancelled());
+    let mut beyond: Vec<(f64, u32)> = candidates.filter_map(|t| Some((cause_of(mesh, t, bounds)?, t))).collect();
     context.check()?;
     for _ in 0..PASSES {
         beyond.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
@@ -119,6 +119,41 @@ pub fn relabel_beyond_surface(
         }
     }
     Ok(changed)
+}
+
+/// The tets that touch other labels in as many faces as one that goes over does, once each; where stars are out of date, all around
+/// these vertices.
+fn tets_at_surface(mesh: &ImprovementMesh, bounds: &RelabellingBounds, context: &RunContext) -> Result<Vec<u32>> {
+    let least = if bounds.one_inside { 1 } else { 2 };
+    // A tet of the scaffold, once for each face of the outside that it lies behind.
+    let behind = |star: &[SurfaceFace], t: u32| {
+        let tet = &mesh.tets[t as usize];
+        let is_of_tet = |face: &&SurfaceFace| face.outer.is_none() && face.others.iter().all(|v| tet.contains(v));
+        std::iter::repeat_n(t, star.iter().filter(is_of_tet).count())
+    };
+    let at_vertex = |v: u32| match mesh.stars().of(v) {
+        // Two faces of a tet share an edge: at the ends of that, both are in the star.
+        Some(star) => {
+            let mut tets: Vec<u32> = star.iter().flat_map(|face| [Some(face.inner), face.outer]).flatten().collect();
+            if star.iter().any(|face| face.outer.is_none()) {
+                tets.extend(
+                    mesh.ball(v).iter().filter(|t| mesh.part(**t) == Part::Scaffold).flat_map(|t| behind(star, *t)),
+                );
+            }
+            tets.sort_unstable();
+            let faces_of_tets = tets.chunk_by(|l, r| l == r);
+            faces_of_tets.filter(|faces| faces.len() >= least).map(|faces| faces[0]).collect()
+        }
+        None if mesh.is_on_surface(v) => mesh.ball(v).to_vec(),
+        None => Vec::new(),
+    };
+    let vertices = (0..mesh.points.len() as u32).into_par_iter().with_min_len(CHUNK);
+    let vertices = vertices.take_any_while(|_| !context.is_cancelled());
+    let mut tets: Vec<u32> = vertices.flat_map_iter(at_vertex).collect();
+    context.check()?;
+    tets.par_sort_unstable();
+    tets.dedup();
+    Ok(tets)
 }
 
 /// A tet that may go to the other side of the surface between two labels.
@@ -158,7 +193,7 @@ fn labels_of(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
 /// for others, at the border of the image, and where its faces touch a third label.
 fn labels_of_faces(mesh: &ImprovementMesh, t: u32) -> Option<(Between, [Label; 4])> {
     let is_on_surface = || mesh.tets[t as usize].iter().all(|v| mesh.is_on_surface(*v));
-    if !mesh.is_live(t) || !is_on_surface() || !has_face_in_star(mesh, t) {
+    if !mesh.is_live(t) || !is_on_surface() {
         return None;
     }
     let own = mesh.labels[t as usize];
@@ -176,16 +211,6 @@ fn labels_of_faces(mesh: &ImprovementMesh, t: u32) -> Option<(Between, [Label; 4
             && !sides.iter().any(|side| matches!(side, Side::Border(_)))
     };
     mesh.tets[t as usize].iter().all(is_between).then_some((Between { own, other, inner: None }, behind))
-}
-
-/// Whether a face of a tet is in the star of its first vertex: where two or more are on the surface, one is. `true` where the star is
-/// out of date.
-fn has_face_in_star(mesh: &ImprovementMesh, t: u32) -> bool {
-    let tet = &mesh.tets[t as usize];
-    let Some(star) = mesh.stars().of(tet[0]) else { return true };
-    star.iter().any(|face| {
-        face.inner == t || face.outer == Some(t) || face.outer.is_none() && face.others.iter().all(|v| tet.contains(v))
-    })
 }
 
 /// Why a tet is to go over: how far its middle lies beyond its surface, mm, or 0 where only its triangles are upside down.
@@ -337,6 +362,40 @@ mod tests {
     }
 
     #[test]
+    fn candidates_are_the_tets_with_as_many_faces_at_other_labels_also_those_of_the_scaffold() {
+        // The tets of `with_inner_tet` in three labels, one of them the scaffold's.
+        let corners = [[-1.0, -1.0, -1.0], [1.0, 1.0, -1.0], [1.0, -1.0, 1.0], [-1.0, 1.0, 1.0]].map(DVec3::from);
+        let middle = DVec3::splat(4.0);
+        let points: Vec<DVec3> =
+            corners.iter().map(|c| middle + 0.3 * *c).chain(corners.iter().map(|c| middle - 2.0 * *c)).collect();
+        let of_set = |set: usize| [0, 1, 2, 3].map(|v| if set >> v & 1 == 1 { v } else { 4 + v });
+        let image = voxel_image(9, |p| u16::from(p.x < 4.5));
+        let context = RunContext::with_threads(1).unwrap();
+        for seed in 0..40usize {
+            let label = |set: usize| Label(((set * (seed + 7) + seed * seed / 3) % 5 % 3) as u16);
+            let labelled: Vec<([u32; 4], Label)> = (1..16).map(|set| (of_set(set), label(set))).collect();
+            with_tets(points.clone(), &labelled, &image, |mut mesh| {
+                mesh.refresh_stars();
+                let faces_of = |t: u32| {
+                    let is_other = |face: &usize| {
+                        mesh.neighbor(t, *face).is_some_and(|n| mesh.labels[n as usize] != mesh.labels[t as usize])
+                    };
+                    (0..4).filter(is_other).count()
+                };
+                for one_inside in [false, true] {
+                    let found = tets_at_surface(&mesh, &RelabellingBounds { one_inside, ..ALL }, &context).unwrap();
+                    let least = if one_inside { 1 } else { 2 };
+                    // What has nothing behind may be listed too: it stays as it is.
+                    let all_closed = |t: &u32| (0..4).all(|face| mesh.neighbor(*t, face).is_some());
+                    let closed: Vec<u32> = found.iter().copied().filter(all_closed).collect();
+                    let expected: Vec<u32> = (0..15).filter(all_closed).filter(|t| faces_of(*t) >= least).collect();
+                    assert_eq!(closed, expected, "{seed}");
+                }
+            });
+        }
+    }
+
+    #[test]
     fn a_tet_goes_with_its_vertex_inside_which_the_surface_then_has() {
         with_inner_tet(&[0b1110], |mut mesh| {
             assert!(!mesh.is_on_surface(0) && mesh.is_on_surface(1));
@@ -380,6 +439,7 @@ mod tests {
             with_fold([Label(beside), Label(2)], |mut mesh| {
                 // The outside is a side of all vertices.
                 assert_eq!(mesh.sides(3).len(), usize::from(beside) + 1);
+                mesh.refresh_stars();
                 assert_eq!(relabelled(&mut mesh, &bounds), 1);
                 assert_eq!(mesh.labels[FOLDED as usize], Label(1));
                 // The triangles are those at the other diagonal, and stay.
