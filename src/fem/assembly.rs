@@ -42,7 +42,7 @@ impl ModelPattern {
         context.install(|| {
             let incidence = Incidence::new(mesh.points.len(), mesh.offsets, mesh.connectivity)?;
             context.check()?;
-            let pattern = Pattern::from_elements(&incidence, mesh.offsets, mesh.connectivity);
+            let pattern = Pattern::from_elements(&incidence, mesh.offsets, mesh.connectivity, context)?;
             Ok(Self { incidence, pattern })
         })
     }
@@ -66,6 +66,7 @@ pub fn assemble_stiffness(
     }
     context.check()?;
     let mut matrix = BlockCsr::zero(model.pattern.clone());
+    context.check()?;
     context.install(|| {
         matrix.fill_rows(|pattern, rows, blocks| {
             // What is left undone is never seen: the check below fails too.

@@ -37,7 +37,7 @@ use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
 use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
 use crate::lattice::image_contacts::ImageContacts;
-use crate::lattice::interface_carving::{Carved, Extent, Pinches, carve};
+use crate::lattice::interface_carving::{Carved, Extent, Pinches, carve, choose_fillings};
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::mesh_regions::{
     component_counts, fill_unseen_regions, joinable_regions, number_by_image, regions_of, relabel_loose_regions,
@@ -142,12 +142,14 @@ pub fn refine(
     let mut cubes = Vec::new();
     if options.mixed_elements || smooths {
         let surface = if options.mixed_elements { SurfaceCount::Counted } else { SurfaceCount::Skipped };
-        cubes = report.timed("mixed_elements", || mixed_elements::find_cubes(&lattice, &elements, surface))?;
+        cubes = report.timed("mixed_elements", || mixed_elements::find_cubes(&lattice, &elements, surface, context))?;
+        context.check()?;
     }
     let mut mesh = report.timed("compaction", || mixed_elements::compact(&lattice, &elements, &cubes, smooths));
     mesh.lost = lost;
     // Giving memory back takes the system some time.
     rayon::join(|| drop(elements), || drop(lattice));
+    context.check()?;
     Ok(mesh)
 }
 
@@ -235,17 +237,18 @@ impl Rounds<'_> {
             let mut deficit = self.deficit(&found);
             // What bends in a leaf was marked in the round before.
             let is_straight = |leaf: usize| known.is_some() && lattice.unchanged[leaf] != CHANGED;
-            let mut marked = self.mark(lattice, &elements, &found, &deficit, finest, is_straight);
+            let mut marked = self.mark(lattice, &elements, &found, &deficit, finest, is_straight)?;
             // A round costs as much for a few leaves as for all: what relabelling lacks joins a few marks.
             if !marks_many(&marked) {
                 let by_centroid = elements.labels.clone();
                 let mut neighbors = self.neighbors(lattice, &elements, known)?;
+                self.context.check()?;
                 let relabelled = self.relabel(lattice, &mut elements, &neighbors, |_| false);
                 let at_centroid = found;
                 let mut found = self.recount(&at_centroid, &by_centroid, lattice, &elements)?;
                 let after = self.deficit(&found);
                 if after.is_worse_than(&deficit) {
-                    join(&mut marked, &self.mark(lattice, &elements, &found, &after, finest, |_| true));
+                    join(&mut marked, &self.mark(lattice, &elements, &found, &after, finest, |_| true)?);
                     if !marked.contains(&true) {
                         // At the finest level: keep the elements that hold voxels of their own label.
                         elements.labels.clone_from(&by_centroid);
@@ -256,11 +259,14 @@ impl Rounds<'_> {
                 deficit = self.deficit(&found);
                 self.context.check()?;
                 if stray_rounds > 0 && !marks_many(&marked) {
-                    let targets = self.input.targets;
+                    let (targets, context) = (self.input.targets, self.context);
                     let mut unreached =
                         self.report.timed("marking", || mark_stray_voxels(lattice, &elements, &found, targets, finest));
                     if stray_rounds == STRAY_ROUNDS {
-                        let missed = self.report.timed("marking", || mark_missed_voxels(lattice, &elements, targets));
+                        context.check()?;
+                        let missed = self
+                            .report
+                            .timed("marking", || mark_missed_voxels(lattice, &elements, targets, context))?;
                         join(&mut unreached, &missed);
                     }
                     stray_rounds -= 1;
@@ -359,9 +365,16 @@ impl Rounds<'_> {
         deficit: &Deficit,
         finest: u32,
         is_straight: impl Fn(usize) -> bool + Sync,
-    ) -> Vec<bool> {
-        let targets = self.input.targets;
-        self.report.timed("marking", || mark_leaves(lattice, elements, found, deficit, targets, finest, is_straight))
+    ) -> Result<Vec<bool>> {
+        let (targets, context) = (self.input.targets, self.context);
+        // A cancelled run looks at no more leaves; what is marked then is never seen.
+        let is_straight = |leaf: usize| context.is_cancelled() || is_straight(leaf);
+        context.check()?;
+        let marked = self
+            .report
+            .timed("marking", || mark_leaves(lattice, elements, found, deficit, targets, finest, is_straight));
+        context.check()?;
+        Ok(marked)
     }
 
     fn neighbors(
@@ -372,10 +385,11 @@ impl Rounds<'_> {
     ) -> Result<Vec<[u32; 4]>> {
         let vertices = lattice.vertices.positions.len();
         let known = known.filter(|known| changes_few(&known.numbers));
-        self.context.check()?;
+        let context = self.context;
+        context.check()?;
         self.report.timed("adjacency", || match known {
-            Some(Known { numbers, neighbors }) => neighbors_after(&neighbors, &numbers, &elements.tets),
-            None => neighbors_of(&elements.tets, vertices),
+            Some(Known { numbers, neighbors }) => neighbors_after(&neighbors, &numbers, &elements.tets, context),
+            None => neighbors_of(&elements.tets, vertices, context),
         })
     }
 
@@ -397,12 +411,16 @@ impl Rounds<'_> {
     fn relabel_within_fidelity(&mut self, lattice: &RedGreenLattice, elements: &mut Elements, neighbors: &[[u32; 4]]) {
         use crate::lattice::voxel_fidelity::for_each_voxel;
         use rayon::prelude::*;
+        let context = self.context;
         let holds: Vec<bool> = elements
             .tets
             .par_iter()
             .map(|tet| {
                 let mut any = false;
-                for_each_voxel(lattice, tet, |_, _| any = true);
+                // What is left out is never seen: the check after the count fails too.
+                if !context.is_cancelled() {
+                    for_each_voxel(lattice, tet, |_, _| any = true);
+                }
                 any
             })
             .collect();
@@ -418,6 +436,7 @@ impl Rounds<'_> {
         found: Vec<Mismatch>,
         before: &Deficit,
     ) -> Result<Vec<Mismatch>> {
+        self.context.check()?;
         let vertices = lattice.vertices.positions.len();
         let unchanged = elements.labels.clone();
         let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices);
@@ -428,16 +447,17 @@ impl Rounds<'_> {
             contacts.allow(labels, changed, label).then(|| changed.iter().map(of_element).sum())
         };
         // Where the changes cost too many voxels all told, those that cost none remain.
+        let context = self.context;
         for most_lost in [usize::MAX, 0] {
-            self.context.check()?;
+            context.check()?;
             let may_lose = |labels: &[Label], changed: &[u32], label: Label| {
                 voxels_lost(labels, changed, label).filter(|lost| *lost <= most_lost)
             };
             let wanted = &self.euler;
             let changed = self.report.timed("topology", || {
                 let euler = (!wanted.is_empty()).then(|| topology.euler_ranges(&elements.labels, wanted));
-                topology.repair(&mut elements.labels, euler, may_lose)
-            });
+                topology.repair(&mut elements.labels, euler, context, may_lose)
+            })?;
             if changed == 0 {
                 break;
             }
@@ -465,7 +485,7 @@ impl Rounds<'_> {
         let vertices = lattice.vertices.positions.len();
         let unchanged = elements.labels.clone();
         let (threshold, labels) = (self.input.region_threshold.unwrap_or(0.0), self.input.values.len());
-        relabel_loose_regions(lattice, elements, &neighbors, labels, threshold);
+        relabel_loose_regions(lattice, elements, &neighbors, labels, threshold, self.context)?;
         let after = self.recount(&found, &unchanged, lattice, elements)?;
         if self.deficit(&after).is_worse_than(before) {
             elements.labels = unchanged;
@@ -475,8 +495,9 @@ impl Rounds<'_> {
         found = self.relabel_pinches(lattice, elements, &neighbors, found, before)?;
         found = self.fill_unseen(lattice, elements, &neighbors, found)?;
         let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
+        self.context.check()?;
         let pinched = topology.pinched(&elements.labels);
-        let regions = regions_of(&elements.labels, &neighbors);
+        let regions = regions_of(&elements.labels, &neighbors, self.context)?;
         let surplus = self.surplus(&regions);
         let mut marked = vec![false; lattice.tets.len()];
         if limit.rounds_left > 0 {
@@ -509,7 +530,7 @@ impl Rounds<'_> {
         found: Vec<Mismatch>,
     ) -> Result<Vec<Mismatch>> {
         let unchanged = elements.labels.clone();
-        let changed = fill_unseen_regions(lattice, elements, neighbors);
+        let changed = fill_unseen_regions(lattice, elements, neighbors, self.context)?;
         if changed == 0 { Ok(found) } else { self.recount(&found, &unchanged, lattice, elements) }
     }
 
@@ -530,23 +551,29 @@ impl Rounds<'_> {
         // In the first round all vertices.
         let mut to_see: Option<Vec<bool>> = None;
         for round in 1..=CARVING_ROUNDS {
-            let is_candidate = |v: u32| to_see.as_ref().is_none_or(|to_see| to_see[v as usize]);
+            let context = self.context;
+            context.check()?;
+            // A cancelled run looks at no more vertices; the check below ends it.
+            let is_candidate =
+                |v: u32| !context.is_cancelled() && to_see.as_ref().is_none_or(|to_see| to_see[v as usize]);
             let pinches = Pinches::among(lattice, elements, &neighbors, is_candidate);
+            context.check()?;
             if pinches.vertices.is_empty() {
                 break;
             }
-            self.context.check()?;
             let joinable = {
-                let regions = regions_of(&elements.labels, &neighbors);
+                let regions = regions_of(&elements.labels, &neighbors, context)?;
                 let surplus = self.surplus(&regions);
                 let mut joinable = joinable_regions(elements, &regions, surplus);
                 number_by_image(&mut joinable, &regions, lattice, elements, &self.components);
                 joinable
             };
-            self.context.check()?;
+            context.check()?;
             let extent = if round < CARVING_ROUNDS { Extent::NearLabel } else { Extent::Whole };
-            let Carved { vertices, numbers } =
-                carve(lattice, elements, &neighbors, &pinches, &joinable, &self.euler, extent);
+            let fillings = choose_fillings(lattice, elements, &neighbors, &pinches, &joinable, &self.euler, extent);
+            context.check()?;
+            let Carved { vertices, numbers } = carve(lattice, elements, &fillings);
+            context.check()?;
             self.report.add("topology.carved_vertices", vertices as f64);
             if vertices == 0 {
                 break;

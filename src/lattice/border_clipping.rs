@@ -30,6 +30,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
+use crate::context::RunContext;
 use crate::error::Result;
 use crate::geometry::tetrahedron::volume6;
 use crate::index::{Label, VertexId};
@@ -54,17 +55,20 @@ const NONE: u32 = u32::MAX;
 /// Cuts a mesh and its scaffold at the border planes that it reaches; returns these planes.
 ///
 /// # Errors
-/// Those of [`neighbors_of`].
-pub fn clip_at_border(mesh: &mut CandidateMesh, surface: &SubvoxelSurface) -> Result<Vec<u8>> {
+/// Those of [`neighbors_of`]; the mesh is lost then.
+pub fn clip_at_border(mesh: &mut CandidateMesh, surface: &SubvoxelSurface, context: &RunContext) -> Result<Vec<u8>> {
     let planes: Vec<u8> = (0..6).filter(|plane| reaches(mesh, surface, *plane)).collect();
     if planes.is_empty() {
         return Ok(planes);
     }
     let mut work = Clipping::new(mesh);
-    planes.iter().for_each(|plane| work.clip(surface, *plane));
+    for plane in &planes {
+        context.check()?;
+        work.clip(surface, *plane);
+    }
     let is_beyond = work.elements_beyond(surface);
     work.label_changed(surface, &is_beyond);
-    work.relabel(&is_beyond)?;
+    work.relabel(&is_beyond, context)?;
     work.finish(mesh);
     Ok(planes)
 }
@@ -78,7 +82,11 @@ fn height(point: DVec3, surface: &SubvoxelSurface, plane: u8) -> f64 {
 /// Whether elements of the mesh cross a plane, and no fixed point lies beyond.
 fn reaches(mesh: &CandidateMesh, surface: &SubvoxelSurface, plane: u8) -> bool {
     let is_beyond = |v: &VertexId| height(mesh.points[v.index()], surface, plane) > 0.0;
-    mesh.tets.par_iter().with_min_len(4096).any(|tet| tet.iter().any(is_beyond)) && !mesh.fixed.iter().any(is_beyond)
+    // Most often no point is beyond: they are looked at before the more numerous tets.
+    let is_passed = mesh.points.par_iter().with_min_len(4096).any(|point| height(*point, surface, plane) > 0.0);
+    is_passed
+        && mesh.tets.par_iter().with_min_len(4096).any(|tet| tet.iter().any(is_beyond))
+        && !mesh.fixed.iter().any(is_beyond)
 }
 
 /// The elements of a mesh and its scaffold under the knife.
@@ -222,8 +230,8 @@ impl Clipping {
     }
 
     /// The elements at the border get labels that surfaces can be smoothed with.
-    fn relabel(&mut self, is_beyond: &[bool]) -> Result<()> {
-        let neighbors = neighbors_of(&self.tets, self.points.len())?;
+    fn relabel(&mut self, is_beyond: &[bool], context: &RunContext) -> Result<()> {
+        let neighbors = neighbors_of(&self.tets, self.points.len(), context)?;
         // The plane is no surface that moves: an element counts as its own neighbour there.
         let mut continued = neighbors.clone();
         for (t, row) in continued.iter_mut().enumerate() {
@@ -234,18 +242,20 @@ impl Clipping {
         let relabels = &self.relabels;
         let is_within = |changed: &[u32]| changed.iter().all(|e| !is_beyond[*e as usize]);
         let topology = InterfaceTopology::new(&self.tets, &neighbors, self.points.len());
+        context.check()?;
         let may_take = |labels: &[Label], changed: &[u32], _: Label| {
             is_within(changed) && changed.iter().all(|e| relabels[*e as usize]) && !is_piece(&topology, labels, changed)
         };
         relabel_for_smoothing(&mut self.labels, &continued, may_take);
-        topology.repair(&mut self.labels, None, |labels, changed, to| may_take(labels, changed, to).then_some(0));
+        let cost = |labels: &[Label], changed: &[u32], to: Label| may_take(labels, changed, to).then_some(0);
+        topology.repair(&mut self.labels, None, context, cost)?;
         // What still pinches needs a change farther inside, or of all its elements at once.
-        topology.repair(&mut self.labels, None, |_, changed, _| is_within(changed).then_some(0));
+        topology.repair(&mut self.labels, None, context, |_, changed, _| is_within(changed).then_some(0))?;
         let may_change: Vec<bool> = relabels.iter().zip(is_beyond).map(|(may, beyond)| *may && !beyond).collect();
-        unite_at_pinches(&topology, &mut self.labels, &may_change);
+        unite_at_pinches(&topology, &mut self.labels, &may_change, context)?;
         // What is left has elements of three labels around it, some of which the border has not reached.
         let may_change: Vec<bool> = is_beyond.iter().map(|beyond| !beyond).collect();
-        unite_at_pinches(&topology, &mut self.labels, &may_change);
+        unite_at_pinches(&topology, &mut self.labels, &may_change, context)?;
         Ok(())
     }
 
@@ -280,8 +290,14 @@ fn is_piece(topology: &InterfaceTopology, labels: &[Label], elements: &[u32]) ->
 }
 
 /// Gives all elements around a pinched vertex that may change one label, where that leaves fewer pinches.
-fn unite_at_pinches(topology: &InterfaceTopology, labels: &mut Vec<Label>, may_change: &[bool]) {
+fn unite_at_pinches(
+    topology: &InterfaceTopology,
+    labels: &mut Vec<Label>,
+    may_change: &[bool],
+    context: &RunContext,
+) -> Result<()> {
     let mut pinched = topology.pinched(labels);
+    context.check()?;
     for vertex in pinched.clone() {
         let ball = topology.elements_around(&[vertex]);
         let mut around: Vec<Label> = ball.iter().map(|e| labels[*e as usize]).collect();
@@ -291,7 +307,7 @@ fn unite_at_pinches(topology: &InterfaceTopology, labels: &mut Vec<Label>, may_c
             let mut tried = labels.clone();
             ball.iter().filter(|e| may_change[**e as usize]).for_each(|e| tried[*e as usize] = label);
             let may_take = |changed: &[u32]| changed.iter().all(|e| may_change[*e as usize]);
-            topology.repair(&mut tried, None, |_, changed, _| may_take(changed).then_some(0));
+            topology.repair(&mut tried, None, context, |_, changed, _| may_take(changed).then_some(0))?;
             let left = topology.pinched(&tried);
             if left.len() < pinched.len() {
                 (*labels, pinched) = (tried, left);
@@ -299,6 +315,7 @@ fn unite_at_pinches(topology: &InterfaceTopology, labels: &mut Vec<Label>, may_c
             }
         }
     }
+    Ok(())
 }
 
 /// What is left of a tet below the plane; it has a vertex above.
@@ -417,7 +434,8 @@ mod tests {
     fn what_is_left_of_a_tet_fills_the_part_below_the_plane() {
         // All ways in which the plane x = -0.5 can meet a tet; the volumes below are integrals of the slices.
         let image = filled();
-        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
+        let context = RunContext::with_threads(1).unwrap();
+        let surface = SubvoxelSurface::new(&image, &context).unwrap();
         for heights in [[1.0, -1.0, -1.0, -1.0], [1.0, 1.0, -1.0, -1.0], [1.0, 1.0, 1.0, -1.0], [1.0, 0.0, -1.0, -1.0]]
         {
             let place = |i: usize, y: f64, z: f64| DVec3::new(-0.5 - heights[i], y, z);
@@ -432,7 +450,7 @@ mod tests {
                 tet_labels: vec![Label(1)],
                 ..CandidateMesh::default()
             };
-            assert_eq!(clip_at_border(&mut mesh, &surface).unwrap(), [0]);
+            assert_eq!(clip_at_border(&mut mesh, &surface, &context).unwrap(), [0]);
             let volume = |t: &[VertexId; 4]| volume6(t.map(|v| mesh.points[v.index()]));
             assert!(mesh.tets.iter().all(|t| volume(t) > 0.0));
             // Heights are linear: the part cut off at a vertex is the product of the parts of its edges.
@@ -449,7 +467,8 @@ mod tests {
     #[test]
     fn a_vertex_next_to_the_plane_moves_onto_it() {
         let image = filled();
-        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
+        let context = RunContext::with_threads(1).unwrap();
+        let surface = SubvoxelSurface::new(&image, &context).unwrap();
         let points = vec![
             DVec3::new(-0.6, 4.0, 4.0),
             DVec3::new(2.0, 4.0, 3.0),
@@ -462,7 +481,7 @@ mod tests {
             tet_labels: vec![Label(1)],
             ..CandidateMesh::default()
         };
-        clip_at_border(&mut mesh, &surface).unwrap();
+        clip_at_border(&mut mesh, &surface, &context).unwrap();
         assert_eq!((mesh.points[0].x, mesh.tets.len()), (-0.5, 1));
         assert!(tet_score([0, 1, 2, 3].map(|v: usize| mesh.points[v])) > 10.0);
     }
@@ -482,7 +501,7 @@ mod tests {
         };
         let mut work = Clipping::new(&mut mesh);
         work.relabels.fill(true);
-        work.relabel(&vec![false; tets.len()]).unwrap();
+        work.relabel(&vec![false; tets.len()], &RunContext::with_threads(1).unwrap()).unwrap();
         work.labels
     }
 

@@ -138,6 +138,7 @@ fn apply(mesh: &mut MixedMesh, copies: &BTreeMap<(usize, VertexId), VertexId>, i
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::context::RunContext;
     use crate::lattice::finishing::boundary_of;
     use glam::DVec3;
 
@@ -146,7 +147,7 @@ mod tests {
         let points = vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z, -DVec3::Z];
         let tets = [[0, 1, 2, 3].map(VertexId), [0, 2, 1, 4].map(VertexId)];
         let mut mesh = MixedMesh::from_tets(points, &tets, vec![1, 2]).unwrap();
-        mesh.boundary = boundary_of(&mesh).unwrap();
+        mesh.boundary = boundary_of(&mesh, &RunContext::with_threads(1).unwrap()).unwrap();
         assert_eq!(mesh.boundary.triangles.len(), 7);
         let other = [DuplicatedInterface { first: 1, second: Some(3) }];
         assert_eq!(duplicate(&mut mesh, &other).unwrap(), 0);

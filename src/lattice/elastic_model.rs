@@ -48,8 +48,11 @@ pub struct ElasticModel {
 
 impl ElasticModel {
     /// The body of a mesh of tets, with the caller's value of each label.
-    pub fn new(mesh: &CandidateMesh, values: &[i32]) -> Self {
-        let merged = merged_elements(mesh, TRIANGLES, MIN_SCALED_JACOBIAN);
+    ///
+    /// # Errors
+    /// As [`merged_elements`].
+    pub fn new(mesh: &CandidateMesh, values: &[i32], context: &RunContext) -> Result<Self> {
+        let merged = merged_elements(mesh, TRIANGLES, MIN_SCALED_JACOBIAN, context)?;
         let corners = merged.hexahedra.iter().map(|(corners, _)| *corners);
         let mut model = Self {
             types: Vec::new(),
@@ -68,7 +71,7 @@ impl ElasticModel {
         tets.for_each(|((tet, label), _)| push(ElementKind::Tet, tet, label.index()));
         merged.pyramids.iter().for_each(|(p, label)| push(ElementKind::Pyramid, p, label.index()));
         merged.hexahedra.iter().for_each(|(h, label)| push(ElementKind::Hexahedron, h, label.index()));
-        model
+        Ok(model)
     }
 
     /// The stiffness of the body.
@@ -134,7 +137,7 @@ mod tests {
     fn the_body_has_all_three_kinds_and_the_volume_of_the_mesh() {
         let context = RunContext::with_threads(1).unwrap();
         let mesh = lattice_mesh(&context);
-        let model = ElasticModel::new(&mesh, &VALUES);
+        let model = ElasticModel::new(&mesh, &VALUES, &context).unwrap();
         let count = |kind: ElementKind| model.types.iter().filter(|t| **t == kind.vtk_type()).count();
         let kinds = [ElementKind::Tet, ElementKind::Pyramid, ElementKind::Hexahedron].map(count);
         assert!(kinds.iter().all(|count| *count > 20), "{kinds:?}");
@@ -154,7 +157,7 @@ mod tests {
     fn a_linear_field_is_in_balance_at_every_inner_vertex_of_a_label_and_moves_the_middles() {
         let context = RunContext::with_threads(2).unwrap();
         let mesh = lattice_mesh(&context);
-        let model = ElasticModel::new(&mesh, &VALUES);
+        let model = ElasticModel::new(&mesh, &VALUES, &context).unwrap();
         let soft = Material::new(0.0021, 0.45).unwrap();
         let materials = MaterialMap::new(Some(soft), vec![(2, Material::new(0.1, 0.3).unwrap())]);
         let mut matrix = model.stiffness(&mesh.points, &materials, &context).unwrap();

@@ -174,6 +174,7 @@ impl InterfaceTopology<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::context::RunContext;
     use crate::lattice::face_adjacency::neighbors_of;
     use crate::lattice::test_images::{voxel_image, with_lattice};
     use glam::DVec3;
@@ -189,7 +190,7 @@ mod tests {
         with_lattice(&image, 1.0, |lattice, context| {
             let mut elements = lattice.elements(context).unwrap();
             let vertices = lattice.vertices.positions.len();
-            let neighbors = neighbors_of(&elements.tets, vertices).unwrap();
+            let neighbors = neighbors_of(&elements.tets, vertices, context).unwrap();
             let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
             let mut ranges = topology.euler_ranges(&elements.labels, &[0, 0, 1]);
             assert!([1, 2].iter().all(|l| ranges.out_of_reach(Label(*l)).is_none()), "{ranges:?}");
@@ -209,7 +210,7 @@ mod tests {
     #[test]
     fn two_tets_that_touch_at_a_vertex_are_one_body_closed_and_two_open() {
         let tets = [[0, 1, 2, 3], [0, 4, 5, 6]];
-        let neighbors = neighbors_of(&tets, 7).unwrap();
+        let neighbors = neighbors_of(&tets, 7, &RunContext::with_threads(1).unwrap()).unwrap();
         let topology = InterfaceTopology::new(&tets, &neighbors, 7);
         let labels = [Label(1); 2];
         let ranges = topology.euler_ranges(&labels, &[0, 1]);

@@ -18,6 +18,7 @@
 
 use rayon::prelude::*;
 
+use crate::context::RunContext;
 use crate::error::{Error, Result};
 use crate::mesh::numbering::TET_FACES;
 use crate::parallel::shared_rows::SharedWords;
@@ -46,8 +47,9 @@ struct Side {
 /// For each face of each tet (opposite to the vertex of the same number) the tet behind it, or [`OUTSIDE`].
 ///
 /// # Errors
-/// [`Error::CapacityExceeded`] past 2^30 tets; [`Error::Internal`] for a face with three tets.
-pub fn neighbors_of(tets: &[[u32; 4]], vertex_count: usize) -> Result<Vec<[u32; 4]>> {
+/// [`Error::CapacityExceeded`] past 2^30 tets; [`Error::Internal`] for a face with three tets; [`Error::Cancelled`],
+/// [`Error::LimitReached`].
+pub fn neighbors_of(tets: &[[u32; 4]], vertex_count: usize, context: &RunContext) -> Result<Vec<[u32; 4]>> {
     if tets.len() >= 1 << 30 {
         return Err(Error::CapacityExceeded { what: "tets", needed: tets.len() as u64, limit: 1 << 30 });
     }
@@ -59,10 +61,15 @@ pub fn neighbors_of(tets: &[[u32; 4]], vertex_count: usize) -> Result<Vec<[u32; 
     let rows = SharedWords::new(neighbors.as_flattened_mut());
     let per_pass = if tets.len() > CHUNK { count.div_ceil(PASSES) } else { count };
     for begin in (0..count).step_by(per_pass.max(1)) {
+        context.check()?;
         let buckets = Buckets { begin, end: count.min(begin + per_pass), shift };
         let chunks: Vec<(Vec<Side>, Vec<u32>)> =
             tets.par_chunks(CHUNK).enumerate().map(|(c, chunk)| buckets.fill(chunk, c * CHUNK)).collect();
-        (begin..buckets.end).into_par_iter().try_for_each(|b| buckets.join_sides(&chunks, b, &rows))?;
+        let join = |bucket: usize| {
+            context.check()?;
+            buckets.join_sides(&chunks, bucket, &rows)
+        };
+        (begin..buckets.end).into_par_iter().try_for_each(join)?;
     }
     Ok(neighbors)
 }
@@ -176,7 +183,12 @@ fn ascending(tet: &[u32; 4]) -> [u64; 4] {
 ///
 /// # Errors
 /// As [`neighbors_of`].
-pub fn neighbors_after(before: &[[u32; 4]], numbers: &[u32], tets: &[[u32; 4]]) -> Result<Vec<[u32; 4]>> {
+pub fn neighbors_after(
+    before: &[[u32; 4]],
+    numbers: &[u32],
+    tets: &[[u32; 4]],
+    context: &RunContext,
+) -> Result<Vec<[u32; 4]>> {
     let mut renumbered = vec![OUTSIDE; before.len()];
     for (tet, number) in (0..).zip(numbers).filter(|(_, number)| **number != OUTSIDE) {
         renumbered[*number as usize] = tet;
@@ -186,6 +198,7 @@ pub fn neighbors_after(before: &[[u32; 4]], numbers: &[u32], tets: &[[u32; 4]]) 
         number => before[number as usize].map(|n| if n == OUTSIDE { OUTSIDE } else { renumbered[n as usize] }),
     };
     let mut neighbors: Vec<[u32; 4]> = numbers.par_iter().with_min_len(CHUNK).map(behind).collect();
+    context.check()?;
     let is_open = |t: usize, f: usize| {
         neighbors[t][f] == OUTSIDE && (numbers[t] == OUTSIDE || before[numbers[t] as usize][f] != OUTSIDE)
     };
@@ -196,9 +209,11 @@ pub fn neighbors_after(before: &[[u32; 4]], numbers: &[u32], tets: &[[u32; 4]]) 
             (face, ((t as u32) << 2) | f as u32)
         })
     };
-    let mut faces: Vec<([u32; 3], u32)> =
-        (0..tets.len()).into_par_iter().with_min_len(CHUNK).flat_map_iter(open_faces).collect();
+    let all = (0..tets.len()).into_par_iter().with_min_len(CHUNK).take_any_while(|_| !context.is_cancelled());
+    let mut faces: Vec<([u32; 3], u32)> = all.flat_map_iter(open_faces).collect();
+    context.check()?;
     faces.par_sort_unstable();
+    context.check()?;
     for sides in faces.chunk_by(|a, b| a.0 == b.0) {
         match sides {
             [_] => {}
@@ -252,6 +267,7 @@ mod tests {
 
     #[test]
     fn tets_of_one_pass_and_of_several_find_each_other() {
+        let context = RunContext::with_threads(1).unwrap();
         for n in [3, 18] {
             let (tets, vertices) = cube(n);
             assert_eq!(tets.len() > CHUNK, n == 18);
@@ -269,7 +285,7 @@ mod tests {
                     (expected[t][f], expected[u][g]) = (u as u32, t as u32);
                 }
             }
-            assert!(neighbors_of(&tets, vertices).unwrap() == expected);
+            assert!(neighbors_of(&tets, vertices, &context).unwrap() == expected);
         }
     }
 
@@ -278,6 +294,15 @@ mod tests {
         let (mut tets, vertices) = cube(18);
         let [a, b, c, _] = tets[100];
         tets.extend([vertices, vertices + 1].map(|apex| [a, b, c, apex as u32]));
-        assert!(neighbors_of(&tets, vertices + 2).is_err());
+        let context = RunContext::with_threads(1).unwrap();
+        assert!(matches!(neighbors_of(&tets, vertices + 2, &context), Err(Error::Internal { .. })));
+    }
+
+    #[test]
+    fn a_cancelled_run_finds_no_neighbors() {
+        let (tets, vertices) = cube(3);
+        let context = RunContext::with_threads(1).unwrap();
+        context.cancel_token().cancel();
+        assert!(matches!(neighbors_of(&tets, vertices, &context), Err(Error::Cancelled)));
     }
 }

@@ -12,6 +12,7 @@
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
+use crate::context::RunContext;
 use crate::error::{Error, Result};
 use crate::image::grid::Grid;
 use crate::index::VertexId;
@@ -26,8 +27,9 @@ const CHUNK: usize = 1 << 14;
 /// The mesh in world coordinates with the caller's labels and its boundary.
 ///
 /// # Errors
-/// [`Error::CapacityExceeded`], [`Error::Internal`] for a mesh that does not conform.
-pub fn to_world(mesh: &CandidateMesh, grid: &Grid, values: &[i32]) -> Result<MixedMesh> {
+/// [`Error::CapacityExceeded`], [`Error::Internal`] for a mesh that does not conform; [`Error::Cancelled`],
+/// [`Error::LimitReached`].
+pub fn to_world(mesh: &CandidateMesh, grid: &Grid, values: &[i32], context: &RunContext) -> Result<MixedMesh> {
     let mut result = MixedMesh {
         points: mesh.points.par_iter().map(|p| grid.local_to_world(*p)).collect(),
         space: Space::Lps,
@@ -60,21 +62,22 @@ pub fn to_world(mesh: &CandidateMesh, grid: &Grid, values: &[i32]) -> Result<Mix
     mesh.hexahedra.iter().for_each(|h| order(hex, h, &mut result.connectivity));
     let labels = mesh.tet_labels.iter().chain(&mesh.pyramid_labels).chain(&mesh.hexahedron_labels);
     result.labels = labels.map(|l| values[l.index()]).collect();
-    result.boundary = boundary_of(&result)?;
+    result.boundary = boundary_of(&result, context)?;
     Ok(result)
 }
 
 /// The labelled faces of a mesh of linear tets, pyramids and hexahedra.
 ///
 /// # Errors
-/// [`Error::Internal`] for a mesh that does not conform.
-pub fn boundary_of(mesh: &MixedMesh) -> Result<BoundaryFaces> {
-    if mesh.is_all_tets() { boundary_of_tets(mesh) } else { boundary_of_mixed(mesh) }
+/// [`Error::Internal`] for a mesh that does not conform; [`Error::Cancelled`], [`Error::LimitReached`].
+pub fn boundary_of(mesh: &MixedMesh, context: &RunContext) -> Result<BoundaryFaces> {
+    if mesh.is_all_tets() { boundary_of_tets(mesh, context) } else { boundary_of_mixed(mesh, context) }
 }
 
-fn boundary_of_tets(mesh: &MixedMesh) -> Result<BoundaryFaces> {
+fn boundary_of_tets(mesh: &MixedMesh, context: &RunContext) -> Result<BoundaryFaces> {
     let tets: &[[u32; 4]] = bytemuck::cast_slice(mesh.tets()?);
-    let neighbors = neighbors_of(tets, mesh.points.len())?;
+    let neighbors = neighbors_of(tets, mesh.points.len(), context)?;
+    context.check()?;
     let part = |(chunk, rows): (usize, &[[u32; 4]])| {
         let mut boundary = BoundaryFaces::default();
         for (t, near) in rows.iter().enumerate().map(|(at, near)| (chunk * CHUNK + at, near)) {
@@ -120,10 +123,11 @@ pub(super) fn faces_of(kind: ElementKind, nodes: &[VertexId]) -> Vec<Vec<VertexI
     }
 }
 
-fn boundary_of_mixed(mesh: &MixedMesh) -> Result<BoundaryFaces> {
+fn boundary_of_mixed(mesh: &MixedMesh, context: &RunContext) -> Result<BoundaryFaces> {
     // Key: sorted vertices, a triangle has u32::MAX last. Value: the two sides.
     let mut sides: Vec<([u32; 4], u32, u8)> = Vec::new();
     for e in 0..mesh.element_count() {
+        context.check_every(CHUNK, e)?;
         let (kind, nodes) = mesh.element(e);
         for (f, face) in faces_of(kind, nodes).iter().enumerate() {
             let mut key = [u32::MAX; 4];
@@ -133,6 +137,7 @@ fn boundary_of_mixed(mesh: &MixedMesh) -> Result<BoundaryFaces> {
         }
     }
     sides.par_sort_unstable();
+    context.check()?;
     let mut listed: Vec<(u32, u8, Option<usize>)> = Vec::new();
     for face in sides.chunk_by(|a, b| a.0 == b.0) {
         match face {
@@ -152,6 +157,7 @@ fn boundary_of_mixed(mesh: &MixedMesh) -> Result<BoundaryFaces> {
     listed.sort_unstable();
     let mut boundary = BoundaryFaces::default();
     for triangles in [true, false] {
+        context.check()?;
         for (e, f, outer) in &listed {
             let (kind, nodes) = mesh.element(*e as usize);
             let face = &faces_of(kind, nodes)[usize::from(*f)];

@@ -156,7 +156,7 @@ mod tests {
         let image = voxel_image(9, |p| if p.x < 4.0 { 1 } else { 2 * u16::from(p.x < 5.0) });
         with_lattice(&image, 1.0, |lattice, context| {
             let elements = lattice.elements(context).unwrap();
-            let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap();
+            let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap();
             let contacts = ImageContacts::new(&lattice, &elements.tets, &neighbors);
             let (mut allowed, mut refused) = (0, 0);
             for e in 0..elements.tets.len() {
@@ -183,7 +183,7 @@ mod tests {
         with_lattice(&image, 1.0, |lattice, context| {
             let elements = lattice.elements(context).unwrap();
             let vertices = lattice.vertices.positions.len();
-            let neighbors = neighbors_of(&elements.tets, vertices).unwrap();
+            let neighbors = neighbors_of(&elements.tets, vertices, context).unwrap();
             let contacts = ImageContacts::new(&lattice, &elements.tets, &neighbors);
             let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
             assert!(contacts.breached(&elements.labels, &topology, |_| true).is_empty());
@@ -215,7 +215,7 @@ mod tests {
         with_lattice(&image, 1.0, |lattice, context| {
             let elements = lattice.elements(context).unwrap();
             let vertices = lattice.vertices.positions.len();
-            let neighbors = neighbors_of(&elements.tets, vertices).unwrap();
+            let neighbors = neighbors_of(&elements.tets, vertices, context).unwrap();
             let contacts = ImageContacts::new(&lattice, &elements.tets, &neighbors);
             // Labels 1 and 4, or 2 and 3, touch: one of these pairs has to.
             let label = |e: usize| elements.labels[e].0;

@@ -113,25 +113,24 @@ impl Pinches {
     }
 }
 
-/// Cuts the elements around the pinched vertices and labels the inner parts. `euler` are the Euler numbers that labels are to
-/// have, or none.
-pub fn carve(
-    lattice: &mut RedGreenLattice,
-    elements: &mut Elements,
-    neighbors: &[[u32; 4]],
-    pinches: &Pinches,
-    regions: &Regions,
-    euler: &[i64],
-    extent: Extent,
-) -> Carved {
-    let (group_of, labels) = fillings(lattice, elements, neighbors, pinches, regions, euler, extent);
+/// What the surroundings of pinched vertices are filled with.
+pub struct Fillings {
+    /// The group of each vertex, or `u32::MAX`.
+    group_of: Vec<u32>,
+    /// The label that fills each group.
+    labels: Vec<Label>,
+}
+
+/// Cuts the elements around the pinched vertices and labels the inner parts.
+pub fn carve(lattice: &mut RedGreenLattice, elements: &mut Elements, fillings: &Fillings) -> Carved {
+    let Fillings { group_of, labels } = fillings;
     let treated = group_of.iter().filter(|g| **g != u32::MAX).count();
-    let numbers = if treated > 0 { cut(lattice, elements, &group_of, &labels) } else { Vec::new() };
+    let numbers = if treated > 0 { cut(lattice, elements, group_of, labels) } else { Vec::new() };
     Carved { vertices: treated, numbers }
 }
 
-/// The group of each vertex, or `u32::MAX`, and the label that fills each group.
-fn fillings(
+/// What the surroundings of pinched vertices are to be filled with. `euler` are the Euler numbers that labels are to have, or none.
+pub fn choose_fillings(
     lattice: &RedGreenLattice,
     elements: &Elements,
     neighbors: &[[u32; 4]],
@@ -139,7 +138,7 @@ fn fillings(
     regions: &Regions,
     euler: &[i64],
     extent: Extent,
-) -> (Vec<u32>, Vec<Label>) {
+) -> Fillings {
     let vertices = lattice.vertices.positions.len();
     let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices);
     let mut euler = (!euler.is_empty()).then(|| topology.euler_ranges(&elements.labels, euler));
@@ -169,7 +168,7 @@ fn fillings(
         group.iter().for_each(|v| group_of[*v as usize] = labels.len() as u32);
         labels.push(label);
     }
-    (group_of, labels)
+    Fillings { group_of, labels }
 }
 
 /// Pinched vertices connected through edges.
@@ -341,6 +340,7 @@ fn oriented(lattice: &RedGreenLattice, tet: [u32; 4]) -> [u32; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::context::RunContext;
     use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
     use glam::DVec3;
 
@@ -361,7 +361,7 @@ mod tests {
                 labels.push(Label(if (i, j, k) == (0, 0, 0) { 1 } else { 2 + k as u16 }));
             }
         }
-        let neighbors = neighbors_of(&tets, 63).unwrap();
+        let neighbors = neighbors_of(&tets, 63, &RunContext::with_threads(1).unwrap()).unwrap();
         let topology = InterfaceTopology::new(&tets, &neighbors, 63);
         let regions = Regions { of_element: labels.iter().map(|l| u32::from(l.0)).collect(), surplus: vec![0; 4] };
         let chosen = |group: &[u32]| label_for(&topology, group, &labels, &regions, None, |_| 0);
@@ -378,7 +378,7 @@ mod tests {
             with_lattice(&image, 2.0, |mut lattice, context| {
                 let mut elements = lattice.elements(context).unwrap();
                 let vertices = lattice.vertices.positions.len();
-                let neighbors = neighbors_of(&elements.tets, vertices).unwrap();
+                let neighbors = neighbors_of(&elements.tets, vertices, context).unwrap();
                 let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
                 // A line of vertices through both labels; nothing pinches there, which carving does not ask for.
                 let place = |v: u32| lattice.frame.local(lattice.vertices.positions[v as usize]);
@@ -400,9 +400,10 @@ mod tests {
                 };
                 let near = has(1).max(has(2));
                 let pinches = Pinches::new(line.clone(), Vec::new());
-                let carved = carve(&mut lattice, &mut elements, &neighbors, &pinches, &regions, &[], extent);
-                let after = neighbors_after(&neighbors, &carved.numbers, &elements.tets).unwrap();
-                assert_eq!(after, neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap());
+                let fillings = choose_fillings(&lattice, &elements, &neighbors, &pinches, &regions, &[], extent);
+                let carved = carve(&mut lattice, &mut elements, &fillings);
+                let after = neighbors_after(&neighbors, &carved.numbers, &elements.tets, context).unwrap();
+                assert_eq!(after, neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap());
                 let kept = carved.numbers.iter().filter(|n| **n != CHANGED).count();
                 assert!(kept > 0 && kept < neighbors.len());
                 (carved.vertices, near, line.len())
@@ -428,14 +429,15 @@ mod tests {
             let is_at_hole = |tet: &[u32; 4]| lattice.centroid(tet).distance(DVec3::new(8.6, 5.0, 10.5)) < 1.8;
             let tets = elements.labels.iter_mut().zip(&elements.tets);
             tets.filter(|(label, tet)| label.0 == 2 && is_at_hole(tet)).for_each(|(label, _)| *label = Label(1));
-            let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap();
+            let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap();
             let first = Pinches::among(&lattice, &elements, &neighbors, |_| true);
             let counts = [first.breached.len(), first.vertices.len(), lattice.vertices.positions.len()];
             assert!(counts[0] > 0 && counts[1] > counts[0] && counts[2] > counts[1], "{counts:?}");
             let regions = Regions { of_element: vec![0; elements.tets.len()], surplus: vec![9; 3] };
-            let carved = carve(&mut lattice, &mut elements, &neighbors, &first, &regions, &[], Extent::NearLabel);
+            let fillings = choose_fillings(&lattice, &elements, &neighbors, &first, &regions, &[], Extent::NearLabel);
+            let carved = carve(&mut lattice, &mut elements, &fillings);
             let to_see = first.to_see_after(&lattice, &elements, &carved.numbers);
-            let neighbors = neighbors_after(&neighbors, &carved.numbers, &elements.tets).unwrap();
+            let neighbors = neighbors_after(&neighbors, &carved.numbers, &elements.tets, context).unwrap();
             let all = Pinches::among(&lattice, &elements, &neighbors, |_| true);
             let near = Pinches::among(&lattice, &elements, &neighbors, |v| to_see[v as usize]);
             assert!(carved.vertices > 0 && to_see.contains(&false) && !all.vertices.is_empty());

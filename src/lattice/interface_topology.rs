@@ -23,6 +23,8 @@ use std::collections::VecDeque;
 
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::euler_ranges::{EulerNumbers, EulerRanges};
 use crate::lattice::face_adjacency::OUTSIDE;
@@ -40,6 +42,9 @@ pub struct InterfaceTopology<'a> {
 
 /// Most elements of a ball whose groups are counted in one word of marks.
 const MOST_COUNTED: usize = u128::BITS as usize;
+
+/// Pinched vertices between two looks at whether the run is cancelled: each tries all labels around it.
+const VERTICES_PER_CHECK: usize = 64;
 
 /// For each element of a ball the three behind its faces at the vertex, by their places in the ball.
 type Links = [[u8; 3]; MOST_COUNTED];
@@ -300,15 +305,21 @@ impl<'a> InterfaceTopology<'a> {
 
     /// Relabels elements until no change lowers the excess; returns how many elements changed. `voxels_lost` tells how
     /// many voxels of their own elements lose that take a label, given those of all, or that they may not take it; `euler` are the Euler numbers that are to be kept, if any are.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
     pub fn repair(
         &self,
         labels: &mut [Label],
         mut euler: Option<EulerRanges>,
+        context: &RunContext,
         voxels_lost: impl Fn(&[Label], &[u32], Label) -> Option<usize>,
-    ) -> usize {
-        let mut queue: VecDeque<u32> = self.pinched(labels).into();
-        let mut changed = 0;
+    ) -> Result<usize> {
+        let mut queue: VecDeque<u32> = self.pinched_among(labels, |_| !context.is_cancelled()).into();
+        let (mut changed, mut seen) = (0, 0);
         while let Some(vertex) = queue.pop_front() {
+            context.check_every(VERTICES_PER_CHECK, seen)?;
+            seen += 1;
             if self.excess(vertex, labels) == 0 {
                 continue;
             }
@@ -321,7 +332,9 @@ impl<'a> InterfaceTopology<'a> {
             }
             queue.extend(concerned);
         }
-        changed
+        // The queue of a cancelled run may be empty.
+        context.check()?;
+        Ok(changed)
     }
 
     /// The vertices of some elements, increasing.
@@ -436,7 +449,7 @@ mod tests {
         // The eight tets of an octahedron around vertex 0; 1 to 3 and 4 to 6 are opposite to each other.
         let corner = |octant: u32, axis: u32| 1 + axis + 3 * (octant >> axis & 1);
         let tets: Vec<[u32; 4]> = (0..8).map(|o| [0, corner(o, 0), corner(o, 1), corner(o, 2)]).collect();
-        let neighbors = neighbors_of(&tets, 7).unwrap();
+        let neighbors = neighbors_of(&tets, 7, &RunContext::with_threads(1).unwrap()).unwrap();
         let topology = InterfaceTopology::new(&tets, &neighbors, 7);
         assert!(!topology.is_open(0) && (1..7).all(|v| topology.is_open(v)));
         let mut pinched = 0;
@@ -467,7 +480,7 @@ mod tests {
                 tets.push(tet);
             }
         }
-        let neighbors = neighbors_of(&tets, 100).unwrap();
+        let neighbors = neighbors_of(&tets, 100, &RunContext::with_threads(1).unwrap()).unwrap();
         let topology = InterfaceTopology::new(&tets, &neighbors, 100);
         let mut labels: Vec<Label> = (0..tets.len()).map(|e| Label((e * e % 7 % 3) as u16)).collect();
         let mut gains = [0; 2];

@@ -656,8 +656,9 @@ mod tests {
         let mut tet_labels = vec![Label(1); 14];
         tet_labels.push(Label(2));
         let image = voxel_image(6, |_| 1);
-        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
-        let neighbors = neighbors_of(&rows, points.len()).unwrap();
+        let context = RunContext::with_threads(1).unwrap();
+        let surface = SubvoxelSurface::new(&image, &context).unwrap();
+        let neighbors = neighbors_of(&rows, points.len(), &context).unwrap();
         let sources = SourcePoints::new(&points, &tets, &tet_labels, &neighbors, &surface, &[]);
         let mut mesh = CandidateMesh { points, tets, tet_labels, ..CandidateMesh::default() };
         let work = ImprovementMesh::new(&mut mesh, &sources, surface);

@@ -28,6 +28,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use rustc_hash::{FxHashMap, FxHashSet};
 
+use crate::context::RunContext;
 use crate::error::Result;
 use crate::geometry::tetrahedron::volume6;
 use crate::image::connected_components::{Components, Connectivity, Members};
@@ -77,20 +78,23 @@ pub fn relabel_loose_pieces(
     neighbors: &[[u32; 4]],
     image: &LabelImage,
     far: FarPieces,
+    context: &RunContext,
 ) -> Result<usize> {
-    let pieces = small_pieces(mesh, neighbors, image);
+    let pieces = small_pieces(mesh, neighbors, image, context)?;
     if pieces.is_empty() {
         return Ok(0);
     }
     let components = Components::new(image, Connectivity::Face, Members::Foreground);
+    context.check()?;
     let inside = VoxelsInside { image, components: &components };
     let pieces: Vec<Piece> = pieces.into_iter().map(|(label, tets)| Piece::new(mesh, &inside, label, tets)).collect();
-    let mut left = Left::new(mesh, &inside, &pieces, image.label_count());
+    let mut left = Left::new(mesh, &inside, &pieces, image.label_count(), context)?;
     let may_go = |left: &Left, piece: &Piece| piece.held.len() < SMALLEST_COMPONENT && left.is_enough_without(piece);
     let candidates = pieces.iter().filter(|piece| may_go(&left, piece));
     let sought: Vec<Held> =
         candidates.flat_map(|piece| &piece.held).filter(|_| far == FarPieces::Stay).copied().collect();
     let mut reached = Reached::around(mesh, &inside, &sought);
+    context.check()?;
     let mut loose: Vec<Vec<u32>> = Vec::new();
     for piece in pieces {
         if may_go(&left, &piece) && (far == FarPieces::Go || reached.is_enough_without(&inside, &piece.held)) {
@@ -100,13 +104,18 @@ pub fn relabel_loose_pieces(
         }
     }
     if !loose.is_empty() {
-        relabel(mesh, &loose)?;
+        relabel(mesh, &loose, context)?;
     }
     Ok(loose.len())
 }
 
 /// Pieces of little volume without fixed vertices, by size.
-fn small_pieces(mesh: &CandidateMesh, neighbors: &[[u32; 4]], image: &LabelImage) -> Vec<(Label, Vec<u32>)> {
+fn small_pieces(
+    mesh: &CandidateMesh,
+    neighbors: &[[u32; 4]],
+    image: &LabelImage,
+    context: &RunContext,
+) -> Result<Vec<(Label, Vec<u32>)>> {
     let voxel = image.grid().spacing().to_array().into_iter().product::<f64>();
     let volume = |t: &u32| volume6(mesh.tets[*t as usize].map(|v| mesh.points[v.index()])) / 6.0;
     let is_small = |(_, piece): &(Label, Vec<u32>)| {
@@ -116,10 +125,10 @@ fn small_pieces(mesh: &CandidateMesh, neighbors: &[[u32; 4]], image: &LabelImage
             left > 0.0 && !mesh.tets[*t as usize].iter().any(|v| mesh.fixed.contains(v))
         })
     };
-    let mut pieces = regions_of(&mesh.tet_labels, neighbors);
+    let mut pieces = regions_of(&mesh.tet_labels, neighbors, context)?;
     pieces.retain(is_small);
     pieces.sort_by_key(|(_, piece)| piece.len());
-    pieces
+    Ok(pieces)
 }
 
 /// A small piece of a label and what it has of the tissue.
@@ -157,7 +166,13 @@ struct Left {
 
 impl Left {
     /// What all pieces have, the small ones among them.
-    fn new(mesh: &CandidateMesh, inside: &VoxelsInside, pieces: &[Piece], labels: usize) -> Self {
+    fn new(
+        mesh: &CandidateMesh,
+        inside: &VoxelsInside,
+        pieces: &[Piece],
+        labels: usize,
+        context: &RunContext,
+    ) -> Result<Self> {
         let mut elements = vec![0; labels];
         mesh.tet_labels.iter().for_each(|l| elements[l.index()] += 1);
         let of_piece = |piece: &Piece| piece.held.iter().map(|h| h.component).collect::<Vec<u32>>();
@@ -178,10 +193,12 @@ impl Left {
             l
         };
         let tets = (0..mesh.tets.len() as u32).into_par_iter().with_min_len(SWEPT_CHUNK);
+        let tets = tets.take_any_while(|_| !context.is_cancelled());
         let tets = tets.filter(|t| is_sought[mesh.tet_labels[*t as usize].index()]);
         // Whole numbers: the sums do not depend on the order.
         let voxels = tets.fold(FxHashMap::default, add).reduce(FxHashMap::default, sum);
-        Self { elements, voxels, touching }
+        context.check()?;
+        Ok(Self { elements, voxels, touching })
     }
 
     /// Whether the label keeps an element without a piece, and each component that the piece stands for a voxel elsewhere.
@@ -314,7 +331,7 @@ fn contains(corners: &[DVec3; 4], point: DVec3) -> bool {
     })
 }
 
-fn relabel(mesh: &mut CandidateMesh, loose: &[Vec<u32>]) -> Result<()> {
+fn relabel(mesh: &mut CandidateMesh, loose: &[Vec<u32>], context: &RunContext) -> Result<()> {
     let mut work = Clipping::new(mesh);
     // Whether a surface pinches at a vertex of a piece depends on the elements there: the others are left out.
     let mut is_near = vec![false; work.points.len()];
@@ -326,7 +343,7 @@ fn relabel(mesh: &mut CandidateMesh, loose: &[Vec<u32>]) -> Result<()> {
         .collect();
     let tets: Vec<[u32; 4]> = numbers.iter().map(|t| work.tets[*t as usize]).collect();
     let mut labels: Vec<Label> = numbers.iter().map(|t| work.labels[*t as usize]).collect();
-    let neighbors = neighbors_of(&tets, work.points.len())?;
+    let neighbors = neighbors_of(&tets, work.points.len(), context)?;
     let topology = InterfaceTopology::new(&tets, &neighbors, work.points.len());
     for piece in loose {
         let piece: Vec<u32> = piece.iter().map(|t| numbers.partition_point(|n| n < t) as u32).collect();
@@ -397,10 +414,11 @@ mod tests {
 
     /// How many loose pieces went, and how many pieces are left.
     fn pieces_left_of(mut mesh: CandidateMesh, image: &LabelImage, far: FarPieces) -> (usize, usize) {
-        let neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len()).unwrap();
-        let loose = relabel_loose_pieces(&mut mesh, &neighbors, image, far).unwrap();
-        let neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len()).unwrap();
-        (loose, regions_of(&mesh.tet_labels, &neighbors).len())
+        let context = RunContext::with_threads(1).unwrap();
+        let neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len(), &context).unwrap();
+        let loose = relabel_loose_pieces(&mut mesh, &neighbors, image, far, &context).unwrap();
+        let neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len(), &context).unwrap();
+        (loose, regions_of(&mesh.tet_labels, &neighbors, &context).unwrap().len())
     }
 
     #[test]

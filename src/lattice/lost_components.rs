@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use crate::context::RunContext;
-use crate::error::{Finding, FindingCode, Severity};
+use crate::error::{Finding, FindingCode, Result, Severity};
 use crate::image::connected_components::{Component, Components, Connectivity, Members};
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
@@ -36,8 +36,12 @@ const BLOCK: u32 = 4;
 const CHUNK: usize = 4096;
 
 /// Adds the small components without an element to those that the lattice has lost.
-pub fn find_lost(mesh: &mut CandidateMesh, image: &LabelImage) {
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn find_lost(mesh: &mut CandidateMesh, image: &LabelImage, context: &RunContext) -> Result<()> {
     let components = Components::new(image, Connectivity::Vertex, Members::Foreground);
+    context.check()?;
     let is_small = |c: u32| components.components()[c as usize].voxels <= LARGEST;
     let [_, nj, nk] = image.grid().size();
     let rows = (0..nk).flat_map(|k| (0..nj).map(move |j| (j, k)));
@@ -47,7 +51,7 @@ pub fn find_lost(mesh: &mut CandidateMesh, image: &LabelImage) {
         sought.extend((run.begin..run.end).map(|i| ([i, j as u32, k as u32], run.component)));
     }
     if sought.is_empty() {
-        return;
+        return Ok(());
     }
     let counts = image.grid().size().map(|n| n.div_ceil(BLOCK as usize));
     let number = |[i, j, k]: [u32; 3]| i as usize + counts[0] * (j as usize + counts[1] * k as usize);
@@ -66,7 +70,9 @@ pub fn find_lost(mesh: &mut CandidateMesh, image: &LabelImage) {
     let elements = mesh.tets.par_iter().zip(&mesh.tet_labels).with_min_len(CHUNK);
     let elements = elements.filter(|(_, label)| has_small[label.index()]);
     let corners = elements.map(|(tet, label)| (tet.map(|v| mesh.points[v.index()]), *label));
+    let corners = corners.take_any_while(|_| !context.is_cancelled());
     let mut seen: Vec<u32> = corners.flat_map_iter(seen_by).collect();
+    context.check()?;
     seen.sort_unstable();
     let mut unseen: Vec<u32> = sought.into_values().filter(|c| seen.binary_search(c).is_err()).collect();
     unseen.sort_unstable();
@@ -76,6 +82,7 @@ pub fn find_lost(mesh: &mut CandidateMesh, image: &LabelImage) {
             mesh.lost.push(component);
         }
     }
+    Ok(())
 }
 
 /// Tells the components that are lost; `values` are the caller's labels.
@@ -131,8 +138,9 @@ mod tests {
             tet_labels: vec![Label(1)],
             ..CandidateMesh::default()
         };
-        find_lost(&mut mesh, &image);
-        find_lost(&mut mesh, &image);
+        let context = RunContext::with_threads(1).unwrap();
+        find_lost(&mut mesh, &image, &context).unwrap();
+        find_lost(&mut mesh, &image, &context).unwrap();
         let context = RunContext::with_threads(1).unwrap();
         tell_lost(&mesh.lost, &image, &[0, 10, 20], &context);
         let findings = context.take_findings();

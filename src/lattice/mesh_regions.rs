@@ -8,6 +8,8 @@
 
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::image::connected_components::{Components, Connectivity, Members};
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
@@ -16,6 +18,9 @@ use crate::lattice::interface_carving::Regions;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::voxel_fidelity::for_each_voxel;
+
+/// Elements of a region between two looks at whether the run is cancelled: a few milliseconds.
+const ELEMENTS_PER_CHECK: usize = 1 << 16;
 
 /// What may be joined: the region of each element, and how many regions more than the image each label has.
 pub fn joinable_regions(elements: &Elements, regions: &[(Label, Vec<u32>)], surplus: Vec<i64>) -> Regions {
@@ -72,12 +77,20 @@ pub fn surplus_of(regions: &[(Label, Vec<u32>)], in_image: &[i64]) -> Vec<i64> {
 }
 
 /// Elements connected through faces within one label; background is left out.
-pub fn regions_of(labels: &[Label], neighbors: &[[u32; 4]]) -> Vec<(Label, Vec<u32>)> {
-    regions_where(labels, neighbors, |label| !label.is_background())
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn regions_of(labels: &[Label], neighbors: &[[u32; 4]], context: &RunContext) -> Result<Vec<(Label, Vec<u32>)>> {
+    regions_where(labels, neighbors, context, |label| !label.is_background())
 }
 
 /// Elements connected through faces within one label that passes.
-fn regions_where(labels: &[Label], neighbors: &[[u32; 4]], passes: impl Fn(Label) -> bool) -> Vec<(Label, Vec<u32>)> {
+fn regions_where(
+    labels: &[Label],
+    neighbors: &[[u32; 4]],
+    context: &RunContext,
+    passes: impl Fn(Label) -> bool,
+) -> Result<Vec<(Label, Vec<u32>)>> {
     let mut seen = vec![false; labels.len()];
     let mut regions = Vec::new();
     for start in 0..labels.len() {
@@ -89,6 +102,7 @@ fn regions_where(labels: &[Label], neighbors: &[[u32; 4]], passes: impl Fn(Label
         let mut region = vec![start as u32];
         let mut next = 0;
         while next < region.len() {
+            context.check_every(ELEMENTS_PER_CHECK, next)?;
             for near in neighbors[region[next] as usize] {
                 if near != OUTSIDE && !seen[near as usize] && labels[near as usize] == label {
                     seen[near as usize] = true;
@@ -99,12 +113,20 @@ fn regions_where(labels: &[Label], neighbors: &[[u32; 4]], passes: impl Fn(Label
         }
         regions.push((label, region));
     }
-    regions
+    Ok(regions)
 }
 
 /// Fills the regions and closed cavities that no voxel of the image stands for, where that makes no surface pinch; returns how
 /// many elements changed.
-pub fn fill_unseen_regions(lattice: &RedGreenLattice, elements: &mut Elements, neighbors: &[[u32; 4]]) -> usize {
+///
+/// # Errors
+/// As [`regions_of`].
+pub fn fill_unseen_regions(
+    lattice: &RedGreenLattice,
+    elements: &mut Elements,
+    neighbors: &[[u32; 4]],
+    context: &RunContext,
+) -> Result<usize> {
     let is_seen = |e: &u32| {
         let (own, mut any) = (elements.labels[*e as usize], false);
         for_each_voxel(lattice, &elements.tets[*e as usize], |_, label| any |= label == own);
@@ -113,10 +135,10 @@ pub fn fill_unseen_regions(lattice: &RedGreenLattice, elements: &mut Elements, n
     // The background around the lattice has all its voxels beyond it.
     let is_outside =
         |e: &u32| elements.labels[*e as usize].is_background() && neighbors[*e as usize].contains(&OUTSIDE);
-    let mut unseen = regions_where(&elements.labels, neighbors, |_| true);
+    let mut unseen = regions_where(&elements.labels, neighbors, context, |_| true)?;
     unseen.retain(|(_, region)| !region.iter().any(|e| is_seen(e) || is_outside(e)));
     if unseen.is_empty() {
-        return 0;
+        return Ok(0);
     }
     let topology = InterfaceTopology::new(&elements.tets, neighbors, lattice.vertices.positions.len());
     let mut changed = 0;
@@ -134,7 +156,7 @@ pub fn fill_unseen_regions(lattice: &RedGreenLattice, elements: &mut Elements, n
             changed += region.len();
         }
     }
-    changed
+    Ok(changed)
 }
 
 fn label_of(labels: &[Label], element: u32) -> Label {
@@ -142,18 +164,22 @@ fn label_of(labels: &[Label], element: u32) -> Label {
 }
 
 /// Gives regions below a share of their label's volume the commonest label around them.
+///
+/// # Errors
+/// As [`regions_of`].
 pub fn relabel_loose_regions(
     lattice: &RedGreenLattice,
     elements: &mut Elements,
     neighbors: &[[u32; 4]],
     labels: usize,
     threshold: f64,
-) {
+    context: &RunContext,
+) -> Result<()> {
     let volume = |e: &u32| {
         let [a, b, c, d] = elements.tets[*e as usize].map(|v| lattice.vertices.positions[v as usize].as_dvec3());
         (b - a).cross(c - a).dot(d - a)
     };
-    let regions = regions_of(&elements.labels, neighbors);
+    let regions = regions_of(&elements.labels, neighbors, context)?;
     let volumes: Vec<f64> = regions.iter().map(|(_, region)| region.iter().map(volume).sum()).collect();
     let (mut totals, mut largest) = (vec![0.0; labels], vec![(0.0, 0); labels]);
     for (r, ((label, _), volume)) in regions.iter().zip(&volumes).enumerate() {
@@ -179,6 +205,7 @@ pub fn relabel_loose_regions(
             region.iter().for_each(|e| elements.labels[*e as usize] = run[0]);
         }
     }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -199,9 +226,9 @@ mod tests {
     fn regions_left(threshold: f64) -> usize {
         with_lattice(&ball_and_speck(), 1.5, |lattice, context| {
             let mut elements = lattice.elements(context).unwrap();
-            let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap();
-            relabel_loose_regions(&lattice, &mut elements, &neighbors, 2, threshold);
-            regions_of(&elements.labels, &neighbors).len()
+            let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap();
+            relabel_loose_regions(&lattice, &mut elements, &neighbors, 2, threshold, context).unwrap();
+            regions_of(&elements.labels, &neighbors, context).unwrap().len()
         })
     }
 
@@ -212,7 +239,7 @@ mod tests {
             voxel_image(20, |p| u16::from(p.distance(DVec3::splat(9.2)) < 7.5 && (p - 8.5).abs().max_element() > 1.0));
         with_lattice(&image, 1.0, |lattice, context| {
             let mut elements = lattice.elements(context).unwrap();
-            let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap();
+            let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap();
             let before = elements.labels.clone();
             let is_deep =
                 |e: &usize| (4.0..5.0).contains(&lattice.centroid(&elements.tets[*e]).distance(DVec3::splat(9.2)));
@@ -223,7 +250,7 @@ mod tests {
             };
             let bubble = (0..before.len()).filter(is_deep).find(holds_none).unwrap();
             elements.labels[bubble] = Label::BACKGROUND;
-            assert_eq!(fill_unseen_regions(&lattice, &mut elements, &neighbors), 1);
+            assert_eq!(fill_unseen_regions(&lattice, &mut elements, &neighbors, context).unwrap(), 1);
             assert_eq!(elements.labels, before);
             assert!(
                 elements
@@ -233,6 +260,15 @@ mod tests {
                     .any(|(tet, l)| l.is_background() && lattice.centroid(tet).distance(DVec3::splat(8.5)) < 1.0)
             );
         });
+    }
+
+    #[test]
+    fn a_cancelled_run_finds_no_regions() {
+        let context = RunContext::with_threads(1).unwrap();
+        let found = || regions_of(&[Label(1); 2], &[[1, OUTSIDE, OUTSIDE, OUTSIDE], [0; 4]], &context);
+        assert_eq!(found().unwrap(), [(Label(1), vec![0, 1])]);
+        context.cancel_token().cancel();
+        assert!(matches!(found(), Err(crate::Error::Cancelled)));
     }
 
     #[test]

@@ -22,6 +22,8 @@
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::geometry::tetrahedron::barycentric;
 use crate::index::Label;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
@@ -45,7 +47,15 @@ const LEAST_TOLERANCE: f64 = 0.8;
 const CHUNK: usize = 1024;
 
 /// Marks the leaves to be refined for missed voxels.
-pub fn mark_missed_voxels(lattice: &RedGreenLattice, elements: &Elements, targets: &Targets) -> Vec<bool> {
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn mark_missed_voxels(
+    lattice: &RedGreenLattice,
+    elements: &Elements,
+    targets: &Targets,
+    context: &RunContext,
+) -> Result<Vec<bool>> {
     let voxel = lattice.field.voxel_size();
     let depth = (LEAST_DEPTH + (targets.surface_tolerance - LEAST_TOLERANCE).max(0.0)) * voxel;
     let misses = |e: &usize| {
@@ -59,10 +69,12 @@ pub fn mark_missed_voxels(lattice: &RedGreenLattice, elements: &Elements, target
         }
         any
     };
-    let missing: Vec<usize> = (0..elements.tets.len()).into_par_iter().with_min_len(CHUNK).filter(misses).collect();
+    let all = (0..elements.tets.len()).into_par_iter().with_min_len(CHUNK);
+    let missing: Vec<usize> = all.take_any_while(|_| !context.is_cancelled()).filter(misses).collect();
+    context.check()?;
     let mut marked = vec![false; lattice.tets.len()];
     missing.into_iter().for_each(|e| marked[elements.leaves[e] as usize] = true);
-    marked
+    Ok(marked)
 }
 
 /// Signed distance of a label, mm, interpolated between the corners of an element at the centre of a voxel in it.
@@ -88,7 +100,7 @@ mod tests {
         let targets = Targets::new(image.values(), &Options::from_parameters(&set).unwrap()).unwrap();
         with_lattice(image, 2.0, |lattice, context| {
             let elements = lattice.elements(context).unwrap();
-            let marked = mark_missed_voxels(&lattice, &elements, &targets);
+            let marked = mark_missed_voxels(&lattice, &elements, &targets, context).unwrap();
             let places = lattice.tets.iter().zip(marked).filter(|(_, marked)| *marked);
             places.map(|(tet, _)| lattice.centroid(tet)).collect()
         })

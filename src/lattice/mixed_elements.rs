@@ -28,6 +28,7 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
+use crate::context::RunContext;
 use crate::error::Result;
 use crate::geometry::predicates::orient3d;
 use crate::index::{Label, VertexId};
@@ -86,12 +87,17 @@ struct Around {
 ///
 /// # Errors
 /// As [`neighbors_of`].
-pub fn find_cubes(lattice: &RedGreenLattice, elements: &Elements, surface: SurfaceCount) -> Result<Vec<MergeableCube>> {
+pub fn find_cubes(
+    lattice: &RedGreenLattice,
+    elements: &Elements,
+    surface: SurfaceCount,
+    context: &RunContext,
+) -> Result<Vec<MergeableCube>> {
     let around = tets_around_vertices(lattice, elements);
     let mut is_center: Vec<bool> = around.iter().map(|a| a.count == TETS_AROUND_VERTEX).collect();
     keep_one_lattice_per_level(lattice, &around, &mut is_center);
     let triangles = match surface {
-        SurfaceCount::Counted => surface_triangles(elements, &is_center)?,
+        SurfaceCount::Counted => surface_triangles(elements, &is_center, context)?,
         SurfaceCount::Skipped => FxHashMap::default(),
     };
     let cube = |center: u32| {
@@ -114,8 +120,8 @@ pub fn find_cubes(lattice: &RedGreenLattice, elements: &Elements, surface: Surfa
 ///
 /// A refused cube becomes the apex of its neighbours' pyramids, whose triangles then lie inside one label: counts do not
 /// depend on which cubes are refused.
-fn surface_triangles(elements: &Elements, is_center: &[bool]) -> Result<FxHashMap<u32, u8>> {
-    let neighbors = neighbors_of(&elements.tets, is_center.len())?;
+fn surface_triangles(elements: &Elements, is_center: &[bool], context: &RunContext) -> Result<FxHashMap<u32, u8>> {
+    let neighbors = neighbors_of(&elements.tets, is_center.len(), context)?;
     let mut of_pyramid: FxHashMap<(u32, u32), u8> = FxHashMap::default();
     for (e, tet) in elements.tets.iter().enumerate() {
         for [a, b] in [[0, 1], [1, 0], [2, 3], [3, 2]] {
@@ -290,16 +296,26 @@ pub struct MergedElements {
 /// The elements that come of merging the cubes whose tets are all still there, where no hexahedron and no pyramid gets a
 /// scaled Jacobian below `min_scaled_jacobian`, of a pyramid also at the corners of its base, no pyramid has more than
 /// `max_surface_triangles`, and each sees all its faces from its middle.
-pub fn merged_elements(mesh: &CandidateMesh, max_surface_triangles: usize, min_scaled_jacobian: f64) -> MergedElements {
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn merged_elements(
+    mesh: &CandidateMesh,
+    max_surface_triangles: usize,
+    min_scaled_jacobian: f64,
+    context: &RunContext,
+) -> Result<MergedElements> {
     let cubes = &mesh.cubes;
     let mut cube_of = vec![u32::MAX; mesh.points.len()];
     cubes.iter().enumerate().for_each(|(c, cube)| cube_of[cube.center.index()] = c as u32);
     let labels = labels_of_whole_cubes(mesh, cubes, &cube_of);
+    context.check()?;
     let is_allowed = |(cube, label): (&MergeableCube, &Option<Label>)| {
         label.is_some() && usize::from(cube.surface_triangles) <= max_surface_triangles
     };
     let mut is_merged: Vec<bool> = cubes.iter().zip(&labels).map(is_allowed).collect();
     give_up_bad_cubes(&mesh.points, cubes, &cube_of, min_scaled_jacobian, &mut is_merged);
+    context.check()?;
     let is_center = |v: &VertexId| cube_of[v.index()] != u32::MAX && is_merged[cube_of[v.index()] as usize];
     let mut result = MergedElements {
         hexahedra: Vec::new(),
@@ -313,7 +329,8 @@ pub fn merged_elements(mesh: &CandidateMesh, max_surface_triangles: usize, min_s
         result.centers.push(cube.center);
         result.pyramids.extend(pyramids_of(cube, &cube_of, &is_merged).map(|p| (p, label)));
     }
-    result
+    context.check()?;
+    Ok(result)
 }
 
 /// A cube that is given up turns its neighbours' faces towards it into pyramids: again until nothing changes.
@@ -365,8 +382,16 @@ fn sees_its_faces(kind: ElementKind, corners: &[DVec3]) -> bool {
 }
 
 /// Merges the cubes of a mesh, see [`merged_elements`].
-pub fn merge_cubes(mesh: &mut CandidateMesh, max_surface_triangles: usize, min_scaled_jacobian: f64) {
-    let merged = merged_elements(mesh, max_surface_triangles, min_scaled_jacobian);
+///
+/// # Errors
+/// As [`merged_elements`].
+pub fn merge_cubes(
+    mesh: &mut CandidateMesh,
+    max_surface_triangles: usize,
+    min_scaled_jacobian: f64,
+    context: &RunContext,
+) -> Result<()> {
+    let merged = merged_elements(mesh, max_surface_triangles, min_scaled_jacobian, context)?;
     mesh.cubes.clear();
     (mesh.hexahedra, mesh.hexahedron_labels) = merged.hexahedra.into_iter().unzip();
     (mesh.pyramids, mesh.pyramid_labels) = merged.pyramids.into_iter().unzip();
@@ -375,6 +400,7 @@ pub fn merge_cubes(mesh: &mut CandidateMesh, max_surface_triangles: usize, min_s
     let mut kept = merged.is_kept.iter();
     mesh.tet_labels.retain(|_| *kept.next().expect("one flag per tet"));
     drop_unused_points(mesh);
+    Ok(())
 }
 
 fn pyramids_of<'a>(

@@ -168,7 +168,7 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
         report.set("mesh.fixed_points", found as f64);
     }
     let mut output = Output::default();
-    let finish = |candidate: &CandidateMesh| finishing::to_world(candidate, image.grid(), values);
+    let finish = |candidate: &CandidateMesh| finishing::to_world(candidate, image.grid(), values, context);
     if options.keep_bcc_mesh {
         output.meshes.push(("bcc_mesh".into(), finish(&candidate)?));
     }
@@ -178,7 +178,8 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
     if options.smoothing_iterations > 0 {
         let points = smoothing::smooth(&mut candidate, &clean, options, &mut report, context)?;
         smoothing_outputs(points, image, options, &mut output);
-        report.timed("lost_components", || lost_components::find_lost(&mut candidate, image));
+        context.check()?;
+        report.timed("lost_components", || lost_components::find_lost(&mut candidate, image, context))?;
     }
     lost_components::tell_lost(&candidate.lost, image, values, context);
     if options.check_mesh_topology {
@@ -190,11 +191,13 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
     if options.mixed_elements {
         let limit = options.max_surface_triangles_on_pyramid;
         let worst = options.min_scaled_jacobian;
-        report.timed("mixed_elements", || mixed_elements::merge_cubes(&mut candidate, limit, worst));
+        report.timed("mixed_elements", || mixed_elements::merge_cubes(&mut candidate, limit, worst, context))?;
         report.set("mesh.hexahedra", candidate.hexahedra.len() as f64);
         report.set("mesh.pyramids", candidate.pyramids.len() as f64);
     }
+    context.check()?;
     let mut mesh = report.timed("finishing", || finish(&candidate))?;
+    context.check()?;
     refuse_empty(&mesh)?;
     if options.keep_smooth_mesh {
         output.meshes.push(("smooth_mesh".into(), mesh.clone()));
@@ -203,6 +206,7 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
         output.meshes.push(("smooth_surface".into(), finishing::surface_of(&mesh)?));
     }
     drop(candidate);
+    context.check()?;
     evaluate(&mesh, original, options, &mut report, context)?;
     if !options.duplicated_interfaces.is_empty() {
         let copies = duplicated_interfaces::duplicate(&mut mesh, &options.duplicated_interfaces)?;

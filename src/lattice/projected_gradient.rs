@@ -286,6 +286,7 @@ impl<'a> Descent<'a> {
         for _ in 0..steps {
             context.check()?;
             self.take_bending();
+            context.check()?;
             if energy == Energy::Variation {
                 self.take_variation();
             }

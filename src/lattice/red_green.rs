@@ -436,7 +436,7 @@ mod tests {
             }
             let mut state = 0x9e37_79b9_7f4a_7c15u64.wrapping_mul(seed + 1);
             let mut before = lattice.elements(&context).unwrap();
-            let mut neighbors_before = neighbors_of(&before.tets, lattice.vertices.positions.len()).unwrap();
+            let mut neighbors_before = neighbors_of(&before.tets, lattice.vertices.positions.len(), &context).unwrap();
             // In the last round a few marks, so that most stays as it was.
             for rarity in [23, 23, 23, 23, 5003] {
                 let marked: Vec<bool> = (0..lattice.tets.len())
@@ -448,12 +448,12 @@ mod tests {
                 lattice.refine(&marked, &context).unwrap();
                 let elements = lattice.elements(&context).unwrap();
                 assert!(elements.tets.len() >= lattice.tets.len(), "seed {seed}");
-                let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap();
+                let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), &context).unwrap();
                 // What is taken over is what would be made anew.
                 let (taken_over, numbers) = lattice.elements_after(&before, &context).unwrap();
                 assert!(taken_over == elements, "seed {seed}");
                 kept += numbers.iter().filter(|n| **n != CHANGED).count();
-                assert!(neighbors_after(&neighbors_before, &numbers, &elements.tets).unwrap() == neighbors);
+                assert!(neighbors_after(&neighbors_before, &numbers, &elements.tets, &context).unwrap() == neighbors);
                 (before, neighbors_before) = (taken_over, neighbors);
                 // No vertex hangs in the middle of an edge.
                 let edges = |tet: &[u32; 4]| TET_EDGES.map(|edge| edge.map(|v| tet[v]));

@@ -146,7 +146,7 @@ mod tests {
 
     fn mark_the_bridge(image: &LabelImage, lattice: RedGreenLattice, context: &RunContext) {
         let mut elements = lattice.elements(context).unwrap();
-        let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len()).unwrap();
+        let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap();
         // Elements around the middle of the bridge lose their label.
         let center = |tet: &[u32; 4]| {
             tet.iter().map(|v| lattice.frame.local(lattice.vertices.positions[*v as usize])).sum::<DVec3>() / 4.0
@@ -156,7 +156,7 @@ mod tests {
             let is_in_ball = center.distance(LEFT).min(center.distance(RIGHT)) < 6.5;
             *label = Label(u16::from(is_in_ball));
         }
-        let found = regions_of(&elements.labels, &neighbors);
+        let found = regions_of(&elements.labels, &neighbors, context).unwrap();
         let surplus = surplus_of(&found, &component_counts(image, 2));
         assert_eq!(surplus[1], 1);
         let regions = joinable_regions(&elements, &found, surplus);

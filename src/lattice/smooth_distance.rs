@@ -100,6 +100,9 @@ const CREASE: f64 = 1.5;
 /// Work per task.
 const CHUNK: usize = 8192;
 
+/// Voxels of a band between two looks at whether the run is cancelled.
+const VOXELS_PER_CHECK: usize = 1 << 14;
+
 /// No voxel, no block.
 const NONE: u32 = u32::MAX;
 
@@ -163,7 +166,9 @@ impl SmoothDistances {
         let known = tubular_distances(image, &layers, band, context)?;
         let of_label = |(label, (layer, known)): (usize, (Vec<usize>, Option<TubularDistance>))| {
             context.check()?;
-            LabelBand::new(image, Label(label as u16), &layer).solve(known, context)
+            let band = LabelBand::new(image, Label(label as u16), &layer);
+            context.check()?;
+            band.solve(known, context)
         };
         let labels = layers.into_par_iter().zip(known).enumerate().with_max_len(1);
         let fields = labels.map(of_label).collect::<Result<_>>()?;
@@ -559,10 +564,12 @@ impl<'a> LabelBand<'a> {
         let first = (FIRST_STEPS * steps as f64) as usize;
         descent.run(Energy::Bending, first, context)?;
         let mut roughness = descent.roughness();
+        context.check()?;
         let more = more_steps(steps, &roughness);
         if more > 0 {
             descent.run(Energy::Bending, more, context)?;
             roughness = descent.roughness();
+            context.check()?;
         }
         self.raise_margins(descent, &roughness, spacing.length() as f32);
         descent.run(Energy::Bending, steps - first, context)?;
@@ -588,12 +595,17 @@ impl<'a> LabelBand<'a> {
     /// Minimises the energy and returns the spline.
     fn solve(&self, known: Option<TubularDistance>, context: &RunContext) -> Result<LabelDistance> {
         let distances = known.as_ref().map(|known| known.distances.as_slice());
-        let mut descent = Descent::new(&self.bricks, &self.unknowns(distances), self.image.grid().spacing());
+        let unknowns = self.unknowns(distances);
+        context.check()?;
+        let mut descent = Descent::new(&self.bricks, &unknowns, self.image.grid().spacing());
+        drop(unknowns);
         self.descend(&mut descent, context)?;
         let values = descent.into_values();
+        context.check()?;
         let mut distance = self.blocks();
         // No voxel of the band has the value 0, all others have.
-        distance.blocks = self.coefficients(&distance, |slot| Some(values[slot]).filter(|value| *value != 0.0));
+        let value_of = |slot: usize| Some(values[slot]).filter(|value| *value != 0.0);
+        distance.blocks = self.coefficients(&distance, context, value_of)?;
         if let Some(known) = known {
             let mut corrections = vec![f32::NAN; values.len()];
             let mut deepest = vec![[0; BLOCK * BLOCK * BLOCK]; distance.blocks.len()];
@@ -602,7 +614,8 @@ impl<'a> LabelBand<'a> {
                 let (block, inside) = distance.place_of(*voxel);
                 deepest[distance.table[block] as usize][inside] = known.deepest[n];
             }
-            let corrections = self.coefficients(&distance, |slot| Some(corrections[slot]).filter(|c| c.is_finite()));
+            let correction_of = |slot: usize| Some(corrections[slot]).filter(|c| c.is_finite());
+            let corrections = self.coefficients(&distance, context, correction_of)?;
             let TubularDistance { segments, is_outside, .. } = known;
             distance.tubes = Some(TubeDistance { segments, is_outside, deepest, corrections });
         }
@@ -630,11 +643,13 @@ impl<'a> LabelBand<'a> {
     fn coefficients(
         &self,
         distance: &LabelDistance,
+        context: &RunContext,
         value_of: impl Fn(usize) -> Option<f32>,
-    ) -> Vec<[f32; BLOCK * BLOCK * BLOCK]> {
+    ) -> Result<Vec<[f32; BLOCK * BLOCK * BLOCK]>> {
         let count = distance.table.iter().filter(|block| **block != NONE).count();
         let mut blocks = vec![[f32::NAN; BLOCK * BLOCK * BLOCK]; count];
-        for (voxel, slot) in self.voxels.iter().zip(self.bricks.slots()) {
+        for (at, (voxel, slot)) in self.voxels.iter().zip(self.bricks.slots()).enumerate() {
+            context.check_every(VOXELS_PER_CHECK, at)?;
             let Some(value) = value_of(*slot as usize) else { continue };
             let mut coefficient = value;
             for beside in self.bricks.neighbors(*slot) {
@@ -646,7 +661,7 @@ impl<'a> LabelBand<'a> {
             let (block, inside) = distance.place_of(*voxel);
             blocks[distance.table[block] as usize][inside] = coefficient;
         }
-        blocks
+        Ok(blocks)
     }
 }
 

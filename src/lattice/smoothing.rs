@@ -60,14 +60,14 @@ pub fn smooth(
     context.progress("target surface", progress_shares::REFINED);
     let surface = report.timed("target_surface", || SubvoxelSurface::new(image, context))?;
     context.check()?;
-    let planes = report.timed("border", || clip_at_border(mesh, &surface))?;
+    let planes = report.timed("border", || clip_at_border(mesh, &surface, context))?;
     report.set("smoothing.border_planes", planes.len() as f64);
-    let mut neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len())?;
+    let mut neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len(), context)?;
     let far = if options.check_mesh_topology { FarPieces::Go } else { FarPieces::Stay };
     context.check()?;
-    let loose = report.timed("loose_pieces", || relabel_loose_pieces(mesh, &neighbors, image, far))?;
+    let loose = report.timed("loose_pieces", || relabel_loose_pieces(mesh, &neighbors, image, far, context))?;
     if loose > 0 {
-        neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len())?;
+        neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len(), context)?;
     }
     report.set("smoothing.loose_pieces", loose as f64);
     context.check()?;
@@ -83,6 +83,7 @@ pub fn smooth(
             Vec::new()
         },
     };
+    context.check()?;
     let mut lattice = mesh.points.clone();
     lattice.extend(&mesh.scaffold.points);
     let input = Deformation { image, surface: &surface, sources: &sources, targets: &targets, values, options };

@@ -91,7 +91,8 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
         return Ok(summary);
     }
     let materials = materials(input)?;
-    let model = ElasticModel::new(mesh, input.values);
+    context.check()?;
+    let model = ElasticModel::new(mesh, input.values, context)?;
     if !input.options.mixed_elements {
         mesh.cubes.clear();
     }
@@ -124,12 +125,13 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
             GuardedTets { tets: &scaffold.tets, incidence: &around, part: Part::Scaffold },
         ];
         context.check()?;
-        let guarded = move_guarded(&mut mesh.points, &scaffold.points, &groups, &displacements, bound);
+        let guarded = move_guarded(&mut mesh.points, &scaffold.points, &groups, &displacements, bound, context)?;
         summary.guarded.damped += guarded.damped;
         summary.guarded.undone += guarded.undone;
         summary.iterations += 1;
     }
     mesh.scaffold = scaffold;
+    context.check()?;
     Ok(summary)
 }
 
@@ -182,7 +184,7 @@ fn displacements_of(
 ) -> Result<Vec<DVec3>> {
     let edges = mean_edge_lengths(mesh, input.sources, body.incidence);
     context.check()?;
-    let wanted = source_displacements(mesh, input, &edges);
+    let wanted = source_displacements(mesh, input, &edges, context)?;
     let mut confidence: Vec<f64> = wanted.iter().map(|w| f64::from(u8::from(w.is_some()))).collect();
     let mut displacements = vec![DVec3::ZERO; mesh.points.len()];
     let mut right = vec![DVec3::ZERO; mesh.points.len()];
@@ -256,11 +258,20 @@ fn mean_edge_lengths(mesh: &CandidateMesh, sources: &SourcePoints, incidence: &I
 }
 
 /// Where each source point is pulled; `None` where nothing near fits.
-fn source_displacements(mesh: &CandidateMesh, input: &Deformation, edges: &[f64]) -> Vec<Option<DVec3>> {
-    (0..input.sources.vertices.len())
+fn source_displacements(
+    mesh: &CandidateMesh,
+    input: &Deformation,
+    edges: &[f64],
+    context: &RunContext,
+) -> Result<Vec<Option<DVec3>>> {
+    let displacements = (0..input.sources.vertices.len())
         .into_par_iter()
         .with_min_len(64)
         .map(|at| {
+            // What is left out is never seen: the check below fails too.
+            if context.is_cancelled() {
+                return None;
+            }
             let vertex = input.sources.vertices[at].index();
             let (point, sides) = (mesh.points[vertex], input.sources.sides(at));
             let radius = input.options.search_radius_factor * edges[at];
@@ -269,7 +280,9 @@ fn source_displacements(mesh: &CandidateMesh, input: &Deformation, edges: &[f64]
             let place = place.or_else(|| input.targets.mean_within(input.image, point, radius, sides))?;
             Some((place - point).clamp_length_max(longest))
         })
-        .collect()
+        .collect();
+    context.check()?;
+    Ok(displacements)
 }
 
 /// Scales the confidence at elements that the displacements would spoil; `false` where there is none.

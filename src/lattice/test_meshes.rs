@@ -29,8 +29,9 @@ pub fn with_tets<T>(
     let rows: Vec<[u32; 4]> = labelled.iter().map(|(tet, _)| positive(*tet)).collect();
     let tets: Vec<[VertexId; 4]> = rows.iter().map(|tet| tet.map(VertexId)).collect();
     let tet_labels: Vec<Label> = labelled.iter().map(|(_, label)| *label).collect();
-    let surface = SubvoxelSurface::new(image, &RunContext::with_threads(1).unwrap()).unwrap();
-    let neighbors = neighbors_of(&rows, points.len()).unwrap();
+    let context = RunContext::with_threads(1).unwrap();
+    let surface = SubvoxelSurface::new(image, &context).unwrap();
+    let neighbors = neighbors_of(&rows, points.len(), &context).unwrap();
     let sources = SourcePoints::new(&points, &tets, &tet_labels, &neighbors, &surface, &[]);
     let mut mesh = CandidateMesh { points, tets, tet_labels, ..CandidateMesh::default() };
     work(ImprovementMesh::new(&mut mesh, &sources, surface))

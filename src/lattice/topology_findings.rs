@@ -33,7 +33,7 @@ use crate::lattice::mesh_regions::{component_counts, regions_of, surplus_of};
 /// Those of [`neighbors_of`]; [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn tell_topology(mesh: &CandidateMesh, image: &LabelImage, values: &[i32], context: &RunContext) -> Result<usize> {
     let (tets, labels) = (bytemuck::cast_slice(&mesh.tets), &mesh.tet_labels);
-    let neighbors = neighbors_of(tets, mesh.points.len())?;
+    let neighbors = neighbors_of(tets, mesh.points.len(), context)?;
     context.check()?;
     let topology = InterfaceTopology::new(tets, &neighbors, mesh.points.len());
     context.check()?;
@@ -52,7 +52,8 @@ pub fn tell_topology(mesh: &CandidateMesh, image: &LabelImage, values: &[i32], c
     let wanted: Vec<i64> = euler_numbers(image).into_iter().map(|[closed, _]| closed).collect();
     tell_euler_numbers(&topology.euler_ranges(labels, &wanted), values, context);
     context.check()?;
-    let surplus = surplus_of(&regions_of(labels, &neighbors), &component_counts(image, values.len()));
+    let regions = regions_of(labels, &neighbors, context)?;
+    let surplus = surplus_of(&regions, &component_counts(image, values.len()));
     for (value, count) in values.iter().zip(surplus).filter(|(_, count)| *count > 0) {
         let text = format!("the mesh of label {value} has {count} regions more than the image");
         let finding = Finding::new(FindingCode::DisconnectedMesh, Severity::Warning, text);

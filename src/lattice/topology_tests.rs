@@ -29,14 +29,14 @@ fn mesh(image: &LabelImage, options: &[(&str, &str)]) -> MixedMesh {
 fn pinched(mesh: &MixedMesh) -> usize {
     let tets: Vec<[u32; 4]> = mesh.tets().unwrap().iter().map(|t| t.map(|v| v.index() as u32)).collect();
     let labels: Vec<Label> = mesh.labels.iter().map(|l| Label(*l as u16)).collect();
-    let neighbors = neighbors_of(&tets, mesh.points.len()).unwrap();
+    let neighbors = neighbors_of(&tets, mesh.points.len(), &RunContext::with_threads(1).unwrap()).unwrap();
     InterfaceTopology::new(&tets, &neighbors, mesh.points.len()).pinched(&labels).len()
 }
 
 /// Pieces of a label that hang together through faces.
 fn pieces(mesh: &MixedMesh, label: i32) -> usize {
     let tets: Vec<[u32; 4]> = mesh.tets().unwrap().iter().map(|t| t.map(|v| v.index() as u32)).collect();
-    let neighbors = neighbors_of(&tets, mesh.points.len()).unwrap();
+    let neighbors = neighbors_of(&tets, mesh.points.len(), &RunContext::with_threads(1).unwrap()).unwrap();
     let mut seen = vec![false; tets.len()];
     let mut count = 0;
     for start in 0..tets.len() {
@@ -162,7 +162,7 @@ fn a_sponge_keeps_all_its_tunnels_with_both_checks() {
         let result = mesh(&sponge, &[BOTH_CHECKS[0], BOTH_CHECKS[1], ("smoothing-iterations", smoothing)]);
         let tets: Vec<[u32; 4]> = result.tets().unwrap().iter().map(|t| t.map(|v| v.index() as u32)).collect();
         let labels: Vec<Label> = result.labels.iter().map(|l| Label(*l as u16)).collect();
-        let neighbors = neighbors_of(&tets, result.points.len()).unwrap();
+        let neighbors = neighbors_of(&tets, result.points.len(), &RunContext::with_threads(1).unwrap()).unwrap();
         let topology = InterfaceTopology::new(&tets, &neighbors, result.points.len());
         let differing = topology.euler_ranges(&labels, &wanted).differing();
         assert!(differing.is_empty(), "{smoothing}: {differing:?}");

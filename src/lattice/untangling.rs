@@ -17,6 +17,8 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::index::VertexId;
 use crate::lattice::element_score::{Part, Threshold, part_fails, part_score};
 use crate::sparse::pattern::Incidence;
@@ -46,13 +48,17 @@ pub struct GuardedTets<'a> {
 
 /// Moves `points` by `displacements`, damped where a tet would score below `bound` (degrees) and worse than before. Vertices
 /// past `points` are those of `still`, which do not move.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`]; the points are part of their way then.
 pub fn move_guarded(
     points: &mut [DVec3],
     still: &[DVec3],
     guarded: &[GuardedTets],
     displacements: &[DVec3],
     bound: f64,
-) -> GuardedMove {
+    context: &RunContext,
+) -> Result<GuardedMove> {
     let before: Vec<DVec3> = points.to_vec();
     let mut factors = vec![1.0f64; points.len()];
     points.par_iter_mut().zip(displacements).for_each(|(p, d)| *p += *d);
@@ -71,11 +77,14 @@ pub fn move_guarded(
     };
     let spoiled = |points: &[DVec3], group: &GuardedTets| -> Vec<u32> {
         let all = (0..group.tets.len() as u32).into_par_iter().with_min_len(1024);
+        let all = all.take_any_while(|_| !context.is_cancelled());
         all.filter(|t| is_spoiled(points, group, *t)).collect()
     };
     let mut bad: Vec<Vec<u32>> = guarded.iter().map(|group| spoiled(points, group)).collect();
     let mut round = 0;
+    context.check()?;
     while bad.iter().any(|b| !b.is_empty()) {
+        context.check()?;
         let of_group = |(group, bad): (&GuardedTets, &Vec<u32>)| -> Vec<VertexId> {
             bad.iter().flat_map(|t| group.tets[*t as usize]).collect()
         };
@@ -97,10 +106,10 @@ pub fn move_guarded(
         bad = guarded.iter().map(still_bad).collect();
         round += 1;
     }
-    GuardedMove {
+    Ok(GuardedMove {
         damped: factors.iter().filter(|f| **f > 0.0 && **f < 1.0).count(),
         undone: factors.iter().filter(|f| **f == 0.0).count(),
-    }
+    })
 }
 
 #[cfg(test)]
@@ -119,9 +128,13 @@ mod tests {
         displacements[..3].fill(DVec3::ZERO);
         displacements[3] = DVec3::Z * -3.0;
         let guarded = [GuardedTets { tets: &tets, incidence: &incidence, part: Part::Mesh }];
-        let result = move_guarded(&mut points, &[], &guarded, &displacements, 5.0);
+        let context = RunContext::with_threads(1).unwrap();
+        let result = move_guarded(&mut points, &[], &guarded, &displacements, 5.0, &context).unwrap();
         assert!(tets.iter().all(|t| tet_score(t.map(|v| points[v.index()])) > 5.0));
         assert_eq!(points[4], DVec3::splat(5.5));
         assert!(result.damped + result.undone > 0);
+        context.cancel_token().cancel();
+        let cancelled = move_guarded(&mut points, &[], &guarded, &displacements, 5.0, &context);
+        assert!(matches!(cancelled, Err(crate::Error::Cancelled)));
     }
 }

@@ -156,8 +156,9 @@ mod tests {
         let tets: Vec<[VertexId; 4]> = rows.iter().map(|tet| tet.map(VertexId)).collect();
         let tet_labels = vec![Label(1); tets.len()];
         let image = voxel_image(13, |p| u16::from(p.distance(center) < 3.0));
-        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
-        let neighbors = neighbors_of(&rows, points.len()).unwrap();
+        let context = RunContext::with_threads(1).unwrap();
+        let surface = SubvoxelSurface::new(&image, &context).unwrap();
+        let neighbors = neighbors_of(&rows, points.len(), &context).unwrap();
         let sources = SourcePoints::new(&points, &tets, &tet_labels, &neighbors, &surface, &[]);
         let mut mesh = CandidateMesh { points, tets, tet_labels, ..CandidateMesh::default() };
         let mut work = ImprovementMesh::new(&mut mesh, &sources, surface);

@@ -27,7 +27,8 @@ pub struct BlockCsr {
 impl BlockCsr {
     /// The zero matrix on a pattern.
     pub fn zero(pattern: Pattern) -> Self {
-        let blocks = vec![DMat3::ZERO; pattern.entry_count()];
+        // Pages of zeros, which whoever fills the rows touches first.
+        let blocks = bytemuck::allocation::zeroed_vec(pattern.entry_count());
         Self { pattern, blocks }
     }
 
@@ -105,6 +106,7 @@ impl BlockCsr {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::context::RunContext;
     use crate::index::VertexId;
     use crate::sparse::pattern::Incidence;
 
@@ -114,7 +116,9 @@ mod tests {
         let connectivity = [0, 1, 2, 3, 1, 2, 3, 4].map(VertexId);
         let offsets = [0, 4, 8];
         let incidence = Incidence::new(5, &offsets, &connectivity).unwrap();
-        let mut matrix = BlockCsr::zero(Pattern::from_elements(&incidence, &offsets, &connectivity));
+        let context = RunContext::with_threads(1).unwrap();
+        let pattern = Pattern::from_elements(&incidence, &offsets, &connectivity, &context).unwrap();
+        let mut matrix = BlockCsr::zero(pattern);
         let mut triplets = sprs::TriMat::new((15, 15));
         let mut seed = 1_u32;
         for element in connectivity.chunks(4) {

@@ -13,6 +13,7 @@
 
 use rayon::prelude::*;
 
+use crate::context::RunContext;
 use crate::error::{Error, Result};
 use crate::index::VertexId;
 
@@ -81,11 +82,20 @@ pub struct Pattern {
 
 impl Pattern {
     /// Two nodes are coupled when they share an element.
-    pub fn from_elements(incidence: &Incidence, offsets: &[i64], connectivity: &[VertexId]) -> Self {
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`], [`Error::LimitReached`].
+    pub fn from_elements(
+        incidence: &Incidence,
+        offsets: &[i64],
+        connectivity: &[VertexId],
+        context: &RunContext,
+    ) -> Result<Self> {
         let node_count = incidence.node_count();
         let chunks: Vec<(Vec<[u32; 2]>, Vec<u32>)> = (0..node_count.div_ceil(ROW_CHUNK))
             .into_par_iter()
             .map(|chunk| {
+                context.check()?;
                 let rows = chunk * ROW_CHUNK..((chunk + 1) * ROW_CHUNK).min(node_count);
                 let (mut lengths, mut columns, mut row) = (Vec::with_capacity(rows.len()), Vec::new(), Vec::new());
                 for node in rows {
@@ -101,9 +111,9 @@ impl Pattern {
                     lengths.push([row.len() as u32, diagonal as u32]);
                     columns.extend_from_slice(&row);
                 }
-                (lengths, columns)
+                Ok((lengths, columns))
             })
-            .collect();
+            .collect::<Result<_>>()?;
         let mut pattern = Self {
             offsets: Vec::with_capacity(node_count + 1),
             columns: Vec::new(),
@@ -120,7 +130,7 @@ impl Pattern {
             }
             pattern.columns.extend_from_slice(&columns);
         }
-        pattern
+        Ok(pattern)
     }
 
     /// Number of block rows.

@@ -149,7 +149,9 @@ mod tests {
         let connectivity: Vec<VertexId> =
             (0..n - 1).flat_map(|i| [VertexId::from_index(i), VertexId::from_index(i + 1)]).collect();
         let incidence = Incidence::new(n, &offsets, &connectivity).unwrap();
-        let mut matrix = BlockCsr::zero(Pattern::from_elements(&incidence, &offsets, &connectivity));
+        let context = RunContext::with_threads(1).unwrap();
+        let pattern = Pattern::from_elements(&incidence, &offsets, &connectivity, &context).unwrap();
+        let mut matrix = BlockCsr::zero(pattern);
         for i in 0..n - 1 {
             let s = 1.0 + (i as f64 * 0.7).sin().abs();
             let k = DMat3::from_cols_array(&[2.0 * s, 0.3, 0.1, 0.3, s, 0.2, 0.1, 0.2, 3.0 * s]);
