@@ -97,7 +97,7 @@ pub enum Start {
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn split_chords(mesh: &mut ImprovementMesh, tolerance: f64, bound: f64, context: &RunContext) -> Result<usize> {
     let mut split = 0;
-    for (at, (_, chord)) in chords(mesh, tolerance).into_iter().enumerate() {
+    for (at, (_, chord)) in chords(mesh, tolerance, context)?.into_iter().enumerate() {
         context.check_every(CHORDS_PER_CHECK, at)?;
         split += usize::from(insert_in_chord(mesh, chord, bound, (Start::Nearer, Towards::Crease)).is_some());
     }
@@ -110,18 +110,24 @@ pub fn flip(mesh: &mut ImprovementMesh, chord: &Chord, bound: f64) -> bool {
 }
 
 /// How far off and vertices of what is to be split, the farthest first.
-pub fn chords(mesh: &ImprovementMesh, tolerance: f64) -> Vec<(f64, Chord)> {
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn chords(mesh: &ImprovementMesh, tolerance: f64, context: &RunContext) -> Result<Vec<(f64, Chord)>> {
+    context.check()?;
     let places = if mesh.surface.has_mostly_vessels() { Places::Farthest } else { Places::Middles };
     let of_vertex = |v: u32| {
         let star = mesh.stars().of(v).unwrap_or(&[]);
         star.iter().flat_map(move |face| of_face(mesh, v, face, tolerance, places)).flatten()
     };
     let vertices = (0..mesh.points.len() as u32).into_par_iter().with_min_len(1024);
+    let vertices = vertices.take_any_while(|_| !context.is_cancelled());
     let mut far: Vec<(f64, Chord)> = vertices.flat_map_iter(of_vertex).collect();
+    context.check()?;
     far.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
     let mut seen = rustc_hash::FxHashSet::default();
     far.retain(|(_, chord)| seen.insert(*chord));
-    far
+    Ok(far)
 }
 
 /// The chords that are listed at one vertex of a face: the edge that begins there, at its smaller vertex, and the face, at its
@@ -339,8 +345,12 @@ mod tests {
         // The tet that comes first of those at a face is its inner one: of one label at both faces, or of two.
         for order in [[0, 1, 2, 3], [2, 3, 0, 1], [0, 3, 1, 2], [3, 0, 2, 1], [1, 2, 3, 0]] {
             with_edge_on_ball(0.7, order, |mut mesh| {
-                mesh.refresh_stars();
-                let found = chords(&mesh, 0.5).into_iter().filter(|(_, chord)| *chord == Chord::Edge([0, 1], 4));
+                let context = RunContext::with_threads(1).unwrap();
+                mesh.refresh_stars(&context).unwrap();
+                let found = chords(&mesh, 0.5, &context)
+                    .unwrap()
+                    .into_iter()
+                    .filter(|(_, chord)| *chord == Chord::Edge([0, 1], 4));
                 assert_eq!(found.count(), 1, "{order:?}");
             });
         }
@@ -349,8 +359,8 @@ mod tests {
     #[test]
     fn a_cancelled_run_splits_nothing() {
         with_edge_on_ball(0.7, [0, 1, 2, 3], |mut mesh| {
-            mesh.refresh_stars();
             let context = RunContext::with_threads(1).unwrap();
+            mesh.refresh_stars(&context).unwrap();
             context.cancel_token().cancel();
             let before = mesh.points.len();
             assert!(matches!(split_chords(&mut mesh, 0.5, 15.0, &context), Err(crate::error::Error::Cancelled)));

@@ -13,6 +13,8 @@
 use glam::DVec3;
 use rustc_hash::FxHashMap;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::index::{Label, VertexId};
 use crate::lattice::boundary_targets::SourcePoints;
 use crate::lattice::candidate_mesh::CandidateMesh;
@@ -341,10 +343,14 @@ impl<'a> ImprovementMesh<'a> {
     }
 
     /// Brings the stars of surface vertices up to date.
-    pub fn refresh_stars(&mut self) {
+    ///
+    /// # Errors
+    /// As [`SurfaceStars::refresh`].
+    pub fn refresh_stars(&mut self, context: &RunContext) -> Result<()> {
         let mut stars = std::mem::take(&mut self.stars);
-        stars.refresh(self);
+        let result = stars.refresh(self, context);
         self.stars = stars;
+        result
     }
 
     /// Surface faces by vertex as of the last refresh, without those that changed since.

@@ -252,7 +252,7 @@ pub fn improve(
     let mut work = ImprovementMesh::new(mesh, sources, surface);
     work.set_lattice(lattice);
     context.check()?;
-    summary.low_before = low_tets(&work, wanted).len();
+    summary.low_before = low_tets(&work, wanted, context)?.len();
     let advance = |passes: usize| {
         let shares = (progress_shares::DEFORMED, progress_shares::IMPROVED);
         context.progress("improvement", progress_shares::within(shares, passes, ROUNDS + 2));
@@ -260,7 +260,7 @@ pub fn improve(
     for round in 0..ROUNDS {
         advance(round);
         if RENUMBERED_ROUNDS.contains(&round) {
-            work.renumber_along_curve(mesh)?;
+            work.renumber_along_curve(mesh, context)?;
             context.check()?;
         }
         let may_transform = options.transformations == Transformations::Local;
@@ -268,14 +268,13 @@ pub fn improve(
         let low = relax_all(&mut work, RELAXATION_BOUNDS[round], wanted, context)?;
         let effort = Effort { wanted, surfaces, slack };
         if may_transform {
-            loosen_all(&mut work);
-            context.check()?;
+            loosen_all(&mut work, context)?;
         }
         if may_transform && RELABELLING_ROUNDS.contains(&round) {
             summary.relabelled += relabel_beyond_surface(&mut work, &beyond, context)?;
         }
         if may_transform && CHORD_ROUNDS.contains(&round) {
-            work.refresh_stars();
+            work.refresh_stars(context)?;
             let chord = if has_vessels { VESSEL_CHORD } else { CHORD };
             summary.counts.chords += split_chords(&mut work, chord * voxel, RELAXATION_BOUNDS[round], context)?;
         }
@@ -291,7 +290,7 @@ pub fn improve(
             let (farthest, ways) = if has_vessels { (VESSEL_FARTHEST, Ways::Creases) } else { (FARTHEST, Ways::Moves) };
             let range = [FAR, farthest].map(|f| f * voxel);
             let bounds = ApproachBounds { range, wanted: effort.wanted, left: LEFT, around: Around::MayYield, ways };
-            summary.approached += approach_surface(&mut work, bounds, budget, &mut mend)?;
+            summary.approached += approach_surface(&mut work, bounds, budget, &mut mend, context)?;
         }
         if may_transform && round == SHORT_EDGE_ROUND {
             // The next round moves all vertices.
@@ -301,7 +300,7 @@ pub fn improve(
                 contract_short_edges(&mut work, wanted, short, passes, Uncontracted::Stay, context)?;
         }
         if round + 1 < ROUNDS {
-            update_offsets(&mut work, &clean.volumes, LARGEST_OFFSET * voxel);
+            update_offsets(&mut work, &clean.volumes, LARGEST_OFFSET * voxel, context)?;
             context.check()?;
         }
     }
@@ -310,7 +309,7 @@ pub fn improve(
         summary.counts.short_edges +=
             contract_short_edges(&mut work, wanted, NEEDLE, NEEDLE_PASSES, Uncontracted::Lengthen, context)?;
         summary.relabelled += relabel_beyond_surface(&mut work, &upside_down, context)?;
-        loosen_all(&mut work);
+        loosen_all(&mut work, context)?;
     }
     advance(ROUNDS + 1);
     let (searched, left) = search_last(&mut work, options, voxel, &mut summary.counts, context)?;
@@ -320,8 +319,8 @@ pub fn improve(
         // Vertices are where they are to be, so that what is still beyond is seen.
         let bounds = RelabellingBounds { least_score: wanted, ..beyond };
         summary.relabelled += relabel_beyond_surface(&mut work, &bounds, context)?;
-        work.refresh_stars();
-        let far = chords(&work, CHORD * voxel);
+        work.refresh_stars(context)?;
+        let far = chords(&work, CHORD * voxel, context)?;
         summary.counts.turned_edges += far.iter().filter(|(_, chord)| flip(&mut work, chord, wanted)).count();
         let effort = Effort { wanted, surfaces: Surfaces::MayYield, slack };
         let mut mend = |work: &mut ImprovementMesh, vertices: &[u32]| {
@@ -331,21 +330,22 @@ pub fn improve(
         let bounds =
             ApproachBounds { range, wanted: effort.wanted, left: LAST_LEFT, around: Around::Holds, ways: Ways::All };
         for _ in 0..LAST_APPROACHES {
-            summary.approached += approach_surface(&mut work, bounds, LEAST_APPROACHES, &mut mend)?;
+            summary.approached += approach_surface(&mut work, bounds, LEAST_APPROACHES, &mut mend, context)?;
         }
         for _ in 0..VOLUME_STEPS {
-            move_by_offsets(&mut work, &clean.volumes, LARGEST_OFFSET * voxel, wanted);
+            move_by_offsets(&mut work, &clean.volumes, LARGEST_OFFSET * voxel, wanted, context)?;
         }
     }
     for _ in 0..options.laplacian_iterations {
-        context.check()?;
-        (0..work.points.len() as u32).for_each(|v| {
+        for v in 0..work.points.len() as u32 {
+            context.check_every(VERTICES_PER_CHECK, v as usize)?;
             relax_inside(&mut work, v, f64::INFINITY);
-        });
+        }
     }
     context.check()?;
-    summary.crossings = count_crossings(&work);
-    let mut low = if options.laplacian_iterations == 0 && !is_approached { left } else { low_tets(&work, wanted) };
+    summary.crossings = count_crossings(&work, context)?;
+    let is_known = options.laplacian_iterations == 0 && !is_approached;
+    let mut low = if is_known { left } else { low_tets(&work, wanted, context)? };
     low.retain(|(_, t)| work.part(*t) == Part::Mesh);
     summary.low_after = low.len();
     summary.lowest = low.first().map_or(wanted, |(score, _)| *score);
@@ -356,7 +356,7 @@ pub fn improve(
 /// One sweep over the surface vertices, then the vertices inside that low tets have. Returns the low tets, worst first.
 fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunContext) -> Result<Vec<(f64, u32)>> {
     let bound = Threshold::of(bound);
-    work.refresh_stars();
+    work.refresh_stars(context)?;
     for set in work.stars().by_color(work) {
         context.check()?;
         // No vertex of the set is in the ball of another: all see the same places, whoever is first.
@@ -379,7 +379,7 @@ fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunC
     }
     candidates.sort_unstable();
     candidates.dedup();
-    Ok(low_among(work, candidates.into_par_iter(), wanted))
+    low_among(work, candidates.into_par_iter(), wanted, context)
 }
 
 /// Searches around the tets below the wanted score, also through worse meshes; returns how many places became better, and the
@@ -396,7 +396,7 @@ fn search_last(
     let perturbations = if may_transform { Perturbations::All } else { Perturbations::Moves };
     let mut better = 0;
     let mut budget = LARGEST_SEARCH;
-    let mut left = low_tets(work, wanted);
+    let mut left = low_tets(work, wanted, context)?;
     for (reach, slack) in SEARCHES {
         let mut low: Vec<u32> = left.iter().map(|(_, t)| *t).collect();
         let effort = Effort { wanted, surfaces: Surfaces::MayYield, slack: slack * voxel };
@@ -411,7 +411,7 @@ fn search_last(
         low.extend(work.tets_of(search.changed));
         low.sort_unstable();
         low.dedup();
-        left = low_among(work, low.into_par_iter(), wanted);
+        left = low_among(work, low.into_par_iter(), wanted, context)?;
     }
     Ok((better, left))
 }
@@ -426,42 +426,50 @@ fn mend_around(
 ) -> Result<()> {
     for _ in 0..SEARCH_SWEEPS {
         let near = work.tets_of(vertices.to_vec());
-        let low = low_among(work, near.into_par_iter(), effort.wanted);
+        let low = low_among(work, near.into_par_iter(), effort.wanted, context)?;
         raise_low_tets(work, low, effort, counts.as_deref_mut(), context)?;
     }
     Ok(())
 }
 
 /// Makes nearly flat tets of the scaffold better.
-fn loosen_all(work: &mut ImprovementMesh) {
+fn loosen_all(work: &mut ImprovementMesh, context: &RunContext) -> Result<()> {
+    context.check()?;
     let limit = Threshold::of(STIFF_SCAFFOLD_ANGLE);
     let is_stiff = |t: &u32| work.part(*t) == Part::Scaffold && work.is_live(*t) && tet_fails(work.corners(*t), &limit);
-    let stiff: Vec<u32> = (0..work.tets.len() as u32).into_par_iter().with_min_len(4096).filter(is_stiff).collect();
-    for t in stiff {
+    let all = (0..work.tets.len() as u32).into_par_iter().with_min_len(4096);
+    let stiff: Vec<u32> = all.take_any_while(|_| !context.is_cancelled()).filter(is_stiff).collect();
+    context.check()?;
+    for (at, t) in stiff.into_iter().enumerate() {
+        context.check_every(LOW_TETS_PER_CHECK, at)?;
         if work.is_live(t) && work.part(t) == Part::Scaffold {
             loosen_scaffold(work, t);
         }
     }
+    Ok(())
 }
 
 /// Tets below the wanted score, worst first.
-fn low_tets(mesh: &ImprovementMesh, wanted: f64) -> Vec<(f64, u32)> {
-    low_among(mesh, (0..mesh.tets.len() as u32).into_par_iter(), wanted)
+fn low_tets(mesh: &ImprovementMesh, wanted: f64, context: &RunContext) -> Result<Vec<(f64, u32)>> {
+    low_among(mesh, (0..mesh.tets.len() as u32).into_par_iter(), wanted, context)
 }
 
 fn low_among(
     mesh: &ImprovementMesh,
     candidates: impl IndexedParallelIterator<Item = u32>,
     wanted: f64,
-) -> Vec<(f64, u32)> {
+    context: &RunContext,
+) -> Result<Vec<(f64, u32)>> {
     let threshold = Threshold::of(wanted);
     let mut low: Vec<(f64, u32)> = candidates
         .with_min_len(1024)
+        .take_any_while(|_| !context.is_cancelled())
         .filter(|t| mesh.is_live(*t) && mesh.fails(*t, &threshold))
         .map(|t| (mesh.score(t), t))
         .collect();
+    context.check()?;
     low.sort_unstable_by(|l, r| l.0.total_cmp(&r.0).then(l.1.cmp(&r.1)));
-    low
+    Ok(low)
 }
 
 /// Goes through tets of low score, the worst classes first, within a class along the mesh: what is near is in the cache.

@@ -49,7 +49,9 @@ pub fn contract_short_edges(
     context: &RunContext,
 ) -> Result<usize> {
     let mut contracted = 0;
-    let mut edges = short_edges(mesh, short, (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096));
+    let all = (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096);
+    let mut edges = short_edges(mesh, short, all.take_any_while(|_| !context.is_cancelled()));
+    context.check()?;
     for pass in 1..=passes {
         // What changed nowhere near would fail again.
         let mut touched: Vec<u32> = Vec::new();

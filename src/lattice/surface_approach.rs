@@ -27,6 +27,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::context::RunContext;
 use crate::error::Result;
 use crate::lattice::change_log::Mark;
 use crate::lattice::chord_splits::{
@@ -107,19 +108,21 @@ pub enum Around {
 /// many became nearer.
 ///
 /// # Errors
-/// Those of `mend`.
+/// Those of `mend`; [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn approach_surface(
     mesh: &mut ImprovementMesh,
     bounds: ApproachBounds,
     budget: usize,
     mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
+    context: &RunContext,
 ) -> Result<usize> {
     let range = bounds.range;
     let mut nearer = 0;
-    mesh.refresh_stars();
-    let mut far = far_places(mesh, range[0]);
+    mesh.refresh_stars(context)?;
+    let mut far = far_places(mesh, range[0], context)?;
     far.retain(|(off, _)| *off < range[1]);
     for (_, place) in far.into_iter().take(budget) {
+        context.check()?;
         let ways: &[Way] = match bounds.ways {
             Ways::Moves => &[Way::Move(Towards::Crease)],
             Ways::Creases => &ALL_WAYS[..ALL_WAYS.len() - 1],
@@ -225,17 +228,20 @@ fn farthest_around(mesh: &ImprovementMesh, vertices: &[u32], around: Around) -> 
 }
 
 /// How far off and what, the farthest first.
-fn far_places(mesh: &ImprovementMesh, tolerance: f64) -> Vec<(f64, Place)> {
+fn far_places(mesh: &ImprovementMesh, tolerance: f64, context: &RunContext) -> Result<Vec<(f64, Place)>> {
+    context.check()?;
     let of_vertex = |v: u32| {
         let is_candidate = mesh.is_on_surface(v) && !mesh.fixed[v as usize] && !mesh.ball(v).is_empty();
         let off = is_candidate.then(|| surface_of(mesh, v))?.map(|goal| goal.distance(mesh.points[v as usize]))?;
         (off > tolerance).then_some((off, Place::Vertex(v)))
     };
     let vertices = (0..mesh.points.len() as u32).into_par_iter().with_min_len(1024);
+    let vertices = vertices.take_any_while(|_| !context.is_cancelled());
     let mut far: Vec<(f64, Place)> = vertices.filter_map(of_vertex).collect();
-    far.extend(chords(mesh, tolerance).into_iter().map(|(off, chord)| (off, Place::Between(chord))));
+    // What a cancelled run left out above is never seen: this fails too.
+    far.extend(chords(mesh, tolerance, context)?.into_iter().map(|(off, chord)| (off, Place::Between(chord))));
     far.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
-    far
+    Ok(far)
 }
 
 /// The place of a vertex on its surface.
@@ -318,7 +324,6 @@ fn slide(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::context::RunContext;
     use crate::lattice::options::{Options, PARAMETERS};
     use crate::lattice::test_images::{fork_distance, voxel_image};
     use crate::mesh::validation::check_mixed_mesh;

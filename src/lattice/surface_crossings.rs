@@ -15,6 +15,8 @@
 
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::geometry::aabb_tree::AabbTree;
 use crate::geometry::bounding_box::BoundingBox;
 use crate::geometry::intersection::{Meeting, triangle_pair};
@@ -24,19 +26,28 @@ use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::mesh::numbering::TET_FACES;
 
 /// Pairs of outer faces that meet beyond what they share.
-pub fn count_crossings(mesh: &ImprovementMesh) -> usize {
-    if is_kept_apart(mesh) { 0 } else { crossings_among(mesh, &outer_faces(mesh), |_| true) }
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn count_crossings(mesh: &ImprovementMesh, context: &RunContext) -> Result<usize> {
+    if is_kept_apart(mesh, context)? {
+        return Ok(0);
+    }
+    crossings_among(mesh, &outer_faces(mesh, context), context, |_| true)
 }
 
 /// Whether mesh and scaffold together show that nothing overlaps.
-fn is_kept_apart(mesh: &ImprovementMesh) -> bool {
+fn is_kept_apart(mesh: &ImprovementMesh, context: &RunContext) -> Result<bool> {
     let is_positive = |t: u32| {
         let [a, b, c, d] = mesh.corners(t);
         orient3d(a, b, c, d) > 0.0
     };
-    let tets = || (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096).filter(|t| mesh.is_live(*t));
-    if !tets().all(is_positive) {
-        return false;
+    let all = || (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096);
+    let tets = || all().take_any_while(|_| !context.is_cancelled()).filter(|t| mesh.is_live(*t));
+    let are_positive = tets().all(is_positive);
+    context.check()?;
+    if !are_positive {
+        return Ok(false);
     }
     let faces_of = |t: u32| TET_FACES.map(|face| face.map(|v| mesh.tets[t as usize][v]));
     // Inside of a label there are neighbours on all sides.
@@ -59,11 +70,17 @@ fn is_kept_apart(mesh: &ImprovementMesh) -> bool {
         let still = |t: u32| faces_of(t).into_iter().filter(|face| face.iter().all(|v| mesh.is_still(*v)));
         faces.par_extend(tets().filter(is_scaffold).flat_map_iter(still));
     }
-    crossings_among(mesh, &faces, |face| face < count) == 0
+    context.check()?;
+    Ok(crossings_among(mesh, &faces, context, |face| face < count)? == 0)
 }
 
 /// Pairs of faces that meet beyond what they share, the first of which is asked for.
-fn crossings_among(mesh: &ImprovementMesh, faces: &[[u32; 3]], is_asked: impl Fn(usize) -> bool + Sync) -> usize {
+fn crossings_among(
+    mesh: &ImprovementMesh,
+    faces: &[[u32; 3]],
+    context: &RunContext,
+    is_asked: impl Fn(usize) -> bool + Sync,
+) -> Result<usize> {
     let at = |v: u32| mesh.points[v as usize];
     let box_of = |f: &[u32; 3]| BoundingBox::of_points(f.map(at));
     let tree = AabbTree::new(faces.par_iter().map(box_of).collect());
@@ -74,11 +91,15 @@ fn crossings_among(mesh: &ImprovementMesh, faces: &[[u32; 3]], is_asked: impl Fn
         });
         count
     };
-    (0..faces.len()).into_par_iter().with_min_len(256).filter(|face| is_asked(*face)).map(of_face).sum()
+    context.check()?;
+    let asked = (0..faces.len()).into_par_iter().with_min_len(256).filter(|face| is_asked(*face));
+    let count = asked.take_any_while(|_| !context.is_cancelled()).map(of_face).sum();
+    context.check()?;
+    Ok(count)
 }
 
-/// Faces of one tet only, seen from outside counter-clockwise.
-fn outer_faces(mesh: &ImprovementMesh) -> Vec<[u32; 3]> {
+/// Faces of one tet only, seen from outside counter-clockwise; some of them once the run is cancelled.
+fn outer_faces(mesh: &ImprovementMesh, context: &RunContext) -> Vec<[u32; 3]> {
     let of_tet = |t: u32| {
         let tet = mesh.tets[t as usize];
         (0..4).filter_map(move |face| {
@@ -89,13 +110,13 @@ fn outer_faces(mesh: &ImprovementMesh) -> Vec<[u32; 3]> {
             (may_be && is_outside(mesh.neighbor(t, face))).then_some(corners)
         })
     };
-    (0..mesh.tets.len() as u32).into_par_iter().flat_map_iter(of_tet).collect()
+    let all = (0..mesh.tets.len() as u32).into_par_iter().take_any_while(|_| !context.is_cancelled());
+    all.flat_map_iter(of_tet).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::context::RunContext;
     use crate::image::grid::Grid;
     use crate::image::label_image::LabelImage;
     use crate::index::{Label, VertexId};
@@ -117,10 +138,15 @@ mod tests {
             tet_labels: vec![Label(1); 2],
             ..CandidateMesh::default()
         };
-        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
+        let context = RunContext::with_threads(1).unwrap();
+        let surface = SubvoxelSurface::new(&image, &context).unwrap();
         let alone = [[u32::MAX; 4]; 2];
         let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &alone, &surface, &[]);
-        count_crossings(&ImprovementMesh::new(&mut mesh, &sources, surface))
+        let mesh = ImprovementMesh::new(&mut mesh, &sources, surface);
+        let count = count_crossings(&mesh, &context).unwrap();
+        context.cancel_token().cancel();
+        assert!(matches!(count_crossings(&mesh, &context), Err(crate::Error::Cancelled)));
+        count
     }
 
     #[test]

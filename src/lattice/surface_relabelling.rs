@@ -375,7 +375,7 @@ mod tests {
             let label = |set: usize| Label(((set * (seed + 7) + seed * seed / 3) % 5 % 3) as u16);
             let labelled: Vec<([u32; 4], Label)> = (1..16).map(|set| (of_set(set), label(set))).collect();
             with_tets(points.clone(), &labelled, &image, |mut mesh| {
-                mesh.refresh_stars();
+                mesh.refresh_stars(&context).unwrap();
                 let faces_of = |t: u32| {
                     let is_other = |face: &usize| {
                         mesh.neighbor(t, *face).is_some_and(|n| mesh.labels[n as usize] != mesh.labels[t as usize])
@@ -439,7 +439,7 @@ mod tests {
             with_fold([Label(beside), Label(2)], |mut mesh| {
                 // The outside is a side of all vertices.
                 assert_eq!(mesh.sides(3).len(), usize::from(beside) + 1);
-                mesh.refresh_stars();
+                mesh.refresh_stars(&RunContext::with_threads(1).unwrap()).unwrap();
                 assert_eq!(relabelled(&mut mesh, &bounds), 1);
                 assert_eq!(mesh.labels[FOLDED as usize], Label(1));
                 // The triangles are those at the other diagonal, and stay.

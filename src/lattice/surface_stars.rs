@@ -15,6 +15,8 @@
 
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace};
 
 /// No color yet.
@@ -67,7 +69,10 @@ impl SurfaceStars {
     }
 
     /// Brings stars and colors up to date.
-    pub fn refresh(&mut self, mesh: &ImprovementMesh) {
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`]: colors are not to be used then.
+    pub fn refresh(&mut self, mesh: &ImprovementMesh, context: &RunContext) -> Result<()> {
         let count = mesh.points.len();
         self.rows.resize(count, [0, STALE]);
         self.colors.resize(count, UNCOLORED);
@@ -79,15 +84,16 @@ impl SurfaceStars {
         let is_stale = |v: &u32| self.rows[*v as usize][1] == STALE && mesh.is_on_surface(*v);
         let stale: Vec<u32> = (0..count as u32).into_par_iter().with_min_len(CHUNK).filter(is_stale).collect();
         let of_chunk = |vertices: &[u32]| {
+            context.check()?;
             let (mut open, mut faces) = (Vec::new(), Vec::with_capacity(FACES_OF_VERTEX * vertices.len()));
             let count = |v: &u32| {
                 let first = faces.len();
                 mesh.append_surface_faces(*v, &mut open, &mut faces);
                 (faces.len() - first) as u32
             };
-            (vertices.iter().map(count).collect::<Vec<u32>>(), faces)
+            Ok((vertices.iter().map(count).collect::<Vec<u32>>(), faces))
         };
-        let parts: Vec<(Vec<u32>, Vec<SurfaceFace>)> = stale.par_chunks(CHUNK).map(of_chunk).collect();
+        let parts: Vec<(Vec<u32>, Vec<SurfaceFace>)> = stale.par_chunks(CHUNK).map(of_chunk).collect::<Result<_>>()?;
         for (vertices, (counts, faces)) in stale.chunks(CHUNK).zip(parts) {
             let mut first = self.faces.len() as u32;
             for (v, count) in vertices.iter().zip(counts) {
@@ -97,12 +103,13 @@ impl SurfaceStars {
             self.live += faces.len();
             self.faces.extend(faces);
         }
-        self.color(mesh, &stale);
+        self.color(mesh, &stale, context)
     }
 
-    fn color(&mut self, mesh: &ImprovementMesh, stale: &[u32]) {
+    fn color(&mut self, mesh: &ImprovementMesh, stale: &[u32], context: &RunContext) -> Result<()> {
         stale.iter().for_each(|v| self.colors[*v as usize] = UNCOLORED);
-        for &v in stale {
+        for (at, &v) in stale.iter().enumerate() {
+            context.check_every(CHUNK, at)?;
             let mut taken = [0u64; 4];
             for t in mesh.ball(v) {
                 for w in mesh.tets[*t as usize] {
@@ -114,6 +121,7 @@ impl SurfaceStars {
             let free = taken.iter().enumerate().find(|(_, word)| **word != u64::MAX);
             self.colors[v as usize] = free.map_or(UNCOLORED, |(at, word)| 64 * at as u8 + word.trailing_ones() as u8);
         }
+        Ok(())
     }
 
     /// The surface vertices with tets by block and color, in order.
@@ -137,7 +145,6 @@ impl SurfaceStars {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::context::RunContext;
     use crate::image::grid::Grid;
     use crate::image::label_image::LabelImage;
     use crate::index::{Label, VertexId};
@@ -170,17 +177,22 @@ mod tests {
         let mut mesh = CandidateMesh { points, tets, tet_labels, ..CandidateMesh::default() };
         let grid = Grid::new([4; 3], DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).unwrap();
         let image = LabelImage::new(grid, vec![Label(1); 64], vec![0, 1, 2]).unwrap();
-        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
+        let context = RunContext::with_threads(1).unwrap();
+        let surface = SubvoxelSurface::new(&image, &context).unwrap();
         let alone = [[u32::MAX; 4]; 4];
         let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &alone, &surface, &[]);
         let mut work = ImprovementMesh::new(&mut mesh, &sources, surface);
-        work.refresh_stars();
+        work.refresh_stars(&context).unwrap();
         agrees(work.stars(), &work);
         assert_eq!(work.stars().by_color(&work).len(), 4);
         let label = Label(1);
         work.replace(&[0, 1], &[[0, 3, 2, 4], [1, 2, 3, 4], [0, 1, 2, 4]].map(|tet| (tet, label)));
         assert!(work.stars().of(3).is_none() && work.stars().of(5).is_some());
-        work.refresh_stars();
+        work.refresh_stars(&context).unwrap();
         agrees(work.stars(), &work);
+        work.replace(&[2], &[]);
+        context.cancel_token().cancel();
+        assert!(matches!(work.refresh_stars(&context), Err(crate::Error::Cancelled)));
+        assert!(work.stars().of(0).is_none());
     }
 }

@@ -18,6 +18,7 @@
 
 use rayon::prelude::*;
 
+use crate::context::RunContext;
 use crate::error::Result;
 use crate::geometry::spatial_sort::hilbert_order;
 use crate::lattice::candidate_mesh::{CandidateMesh, GONE};
@@ -32,14 +33,18 @@ impl ImprovementMesh<'_> {
     /// Renumbers vertices and tets, also in what `mesh` says of them. Not within a trial.
     ///
     /// # Errors
-    /// As [`hilbert_order`].
-    pub fn renumber_along_curve(&mut self, mesh: &mut CandidateMesh) -> Result<()> {
+    /// As [`hilbert_order`]; [`crate::Error::Cancelled`], [`crate::Error::LimitReached`]: the mesh is not to be used then.
+    pub fn renumber_along_curve(&mut self, mesh: &mut CandidateMesh, context: &RunContext) -> Result<()> {
+        context.check()?;
         let mut old_vertices = hilbert_order(&self.points)?;
+        context.check()?;
         old_vertices.retain(|v| !self.ball(*v).is_empty());
         let mut new_of = vec![GONE; self.points.len()];
         old_vertices.iter().zip(0..).for_each(|(old, new)| new_of[*old as usize] = new);
         let old_tets = self.tets_by_vertex(&new_of, old_vertices.len());
+        context.check()?;
         self.balls = Vec::new();
+        context.check()?;
         self.points = gathered(&self.points, &old_vertices);
         self.lattice = gathered(&self.lattice, &old_vertices);
         self.side_set = gathered(&self.side_set, &old_vertices);
@@ -48,6 +53,7 @@ impl ImprovementMesh<'_> {
         self.labels = gathered(&self.labels, &old_tets);
         self.tets = gathered(&self.tets, &old_tets);
         self.tets.par_iter_mut().with_min_len(CHUNK).for_each(|tet| *tet = tet.map(|v| new_of[v as usize]));
+        context.check()?;
         self.free.clear();
         self.stars = SurfaceStars::new(self.points.len());
         self.balls = balls_of(&self.tets, self.points.len());
@@ -76,7 +82,6 @@ impl ImprovementMesh<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::context::RunContext;
     use crate::index::{Label, VertexId};
     use crate::lattice::boundary_targets::SourcePoints;
     use crate::lattice::subvoxel_surface::SubvoxelSurface;
@@ -97,7 +102,8 @@ mod tests {
             ..CandidateMesh::default()
         };
         let image = voxel_image(4, |_| 1);
-        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
+        let context = RunContext::with_threads(1).unwrap();
+        let surface = SubvoxelSurface::new(&image, &context).unwrap();
         let mut work = ImprovementMesh::new(&mut mesh, &SourcePoints::default(), surface);
         work.set_lattice(points.to_vec());
         work.replace(&[2], &[]);
@@ -109,7 +115,7 @@ mod tests {
             shapes
         };
         let before = shapes(&work);
-        work.renumber_along_curve(&mut mesh).unwrap();
+        work.renumber_along_curve(&mut mesh, &context).unwrap();
         assert_eq!(shapes(&work), before);
         assert_eq!((work.points.len(), work.tets.len()), (6, 3));
         assert_eq!(work.points[mesh.fixed[0].index()], DVec3::Y);
@@ -119,5 +125,7 @@ mod tests {
             assert_eq!(work.ball(v), (0..3).filter(has).collect::<Vec<u32>>());
         }
         assert!(work.tets.is_sorted_by_key(|tet| tet.iter().min().copied()));
+        context.cancel_token().cancel();
+        assert!(matches!(work.renumber_along_curve(&mut mesh, &context), Err(crate::Error::Cancelled)));
     }
 }

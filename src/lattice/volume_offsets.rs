@@ -17,6 +17,8 @@ use glam::DVec3;
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::geometry::tetrahedron::volume6;
 use crate::lattice::element_score::{Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
@@ -28,23 +30,42 @@ const SWEEPS: usize = 30;
 /// Tets, or vertices, per part of a sum.
 const SUM_CHUNK: usize = 1 << 16;
 
+/// Vertices between two looks at whether the run is cancelled.
+const VERTICES_PER_CHECK: usize = 1024;
+
 /// Sets the offsets of the mesh's surfaces, of `largest` mm at most, so that each label's volume would become the wanted one, mm^3.
-pub fn update_offsets(mesh: &mut ImprovementMesh, wanted: &[f64], largest: f64) {
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn update_offsets(mesh: &mut ImprovementMesh, wanted: &[f64], largest: f64, context: &RunContext) -> Result<()> {
+    context.check()?;
     let volumes = volumes_of(mesh, wanted.len());
-    mesh.refresh_stars();
+    context.check()?;
+    mesh.refresh_stars(context)?;
     let pairs = areas_between(mesh);
     let missing: Vec<f64> = wanted.iter().zip(volumes).map(|(wanted, volume)| wanted - volume).collect();
     shift(mesh.surface.offsets_mut(), &missing, &pairs, largest);
+    Ok(())
 }
 
 /// Sets the offsets as [`update_offsets`] does, and moves the vertices between two labels by what they change, each where its tets
 /// keep the score `bound`, degrees: shapes stay, which a relaxation would smooth.
-pub fn move_by_offsets(mesh: &mut ImprovementMesh, wanted: &[f64], largest: f64, bound: f64) {
+///
+/// # Errors
+/// As [`update_offsets`].
+pub fn move_by_offsets(
+    mesh: &mut ImprovementMesh,
+    wanted: &[f64],
+    largest: f64,
+    bound: f64,
+    context: &RunContext,
+) -> Result<()> {
     let before = mesh.surface.offsets_mut().to_vec();
-    update_offsets(mesh, wanted, largest);
+    update_offsets(mesh, wanted, largest, context)?;
     let outward: Vec<f64> = mesh.surface.offsets_mut().iter().zip(before).map(|(now, then)| *now - then).collect();
     let needed = Threshold::of(bound);
     for v in 0..mesh.points.len() as u32 {
+        context.check_every(VERTICES_PER_CHECK, v as usize)?;
         let [Side::Label(a), Side::Label(b)] = *mesh.sides(v) else { continue };
         if mesh.fixed[v as usize] || mesh.ball(v).is_empty() {
             continue;
@@ -59,6 +80,7 @@ pub fn move_by_offsets(mesh: &mut ImprovementMesh, wanted: &[f64], largest: f64,
             }
         });
     }
+    Ok(())
 }
 
 /// Shifts the offsets by what is missing in volume, mm^3 per label, over the areas between labels, mm^2.
@@ -165,13 +187,17 @@ mod tests {
         let volume = |work: &ImprovementMesh| volumes_of(work, 2)[1];
         assert!((volume(&work) - 36.0).abs() < 1e-9);
         for _ in 0..3 {
-            move_by_offsets(&mut work, &[0.0, 38.0], 0.5, 15.0);
+            move_by_offsets(&mut work, &[0.0, 38.0], 0.5, 15.0, &context).unwrap();
         }
         // Measured 37.85: the vertices of so coarse a mesh go less far than its faces would have to.
         assert!((volume(&work) - 38.0).abs() < 0.2, "{}", volume(&work));
-        move_by_offsets(&mut work, &[0.0, 38.0], 0.5, 89.0);
+        move_by_offsets(&mut work, &[0.0, 38.0], 0.5, 89.0, &context).unwrap();
         let held = volume(&work);
-        move_by_offsets(&mut work, &[0.0, 30.0], 0.5, 89.0);
+        move_by_offsets(&mut work, &[0.0, 30.0], 0.5, 89.0, &context).unwrap();
+        assert_eq!(volume(&work), held);
+        context.cancel_token().cancel();
+        let cancelled = move_by_offsets(&mut work, &[0.0, 30.0], 0.5, 15.0, &context);
+        assert!(matches!(cancelled, Err(crate::Error::Cancelled)));
         assert_eq!(volume(&work), held);
     }
 
