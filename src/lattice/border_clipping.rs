@@ -401,7 +401,7 @@ mod tests {
         let (output, report) = lattice::run(&image, &options, &RunContext::with_threads(2).unwrap()).unwrap();
         check_mixed_mesh(&output.mesh).unwrap();
         assert_eq!(report.statistics().value("improvement.crossings"), Some(0.0));
-        let quality = mesh_quality(&output.mesh, &RunContext::with_threads(1).unwrap()).statistics();
+        let quality = mesh_quality(&output.mesh, &RunContext::with_threads(1).unwrap()).unwrap().statistics();
         assert!(quality.value("quality.min_dihedral").unwrap() > 12.0, "{quality:?}");
         assert!(quality.value("quality.max_dihedral").unwrap() < 160.0, "{quality:?}");
         let high = DVec3::new(14.5, 12.5 * 1.1, 11.5 * 0.9);

@@ -23,8 +23,11 @@ use crate::mesh::quality::mesh_quality;
 use crate::statistics::Statistics;
 
 /// Histogram and extremes of the elements' quality.
-pub fn evaluate_quality(mesh: &MixedMesh, context: &RunContext) -> Statistics {
-    mesh_quality(mesh, context).statistics()
+///
+/// # Errors
+/// As [`mesh_quality`].
+pub fn evaluate_quality(mesh: &MixedMesh, context: &RunContext) -> Result<Statistics> {
+    Ok(mesh_quality(mesh, context)?.statistics())
 }
 
 /// `label.<value>.volume`, `.voxel_volume` [mm^3] and `.volume_error` [%], `mesh.volume`, `mesh.enclosed_volume`.

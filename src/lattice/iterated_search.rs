@@ -359,7 +359,7 @@ mod tests {
         let context = RunContext::with_threads(1).unwrap();
         let (output, report) = crate::lattice::run(&image, &options, &context).unwrap();
         check_mixed_mesh(&output.mesh).unwrap();
-        let lowest = mesh_quality(&output.mesh, &context).statistics().value("quality.min_dihedral").unwrap();
+        let lowest = mesh_quality(&output.mesh, &context).unwrap().statistics().value("quality.min_dihedral").unwrap();
         let tets = output.mesh.tets().unwrap();
         let volume = |label: i32| -> f64 {
             let own = (0..tets.len()).filter(|t| output.mesh.labels[*t] == label);

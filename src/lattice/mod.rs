@@ -276,7 +276,7 @@ fn evaluate(
     context: &RunContext,
 ) -> Result<()> {
     if options.evaluate_quality {
-        report.merge(&evaluation::evaluate_quality(mesh, context));
+        report.merge(&evaluation::evaluate_quality(mesh, context)?);
     }
     if options.evaluate_volume {
         report.merge(&evaluation::evaluate_volume(mesh, image));

@@ -164,7 +164,7 @@ mod tests {
         let result = mesh(&image, 1);
         assert_eq!(result, mesh(&image, 2));
         check_mixed_mesh(&result).unwrap();
-        let quality = mesh_quality(&result, &RunContext::with_threads(1).unwrap()).statistics();
+        let quality = mesh_quality(&result, &RunContext::with_threads(1).unwrap()).unwrap().statistics();
         assert!(quality.value("quality.min_dihedral").unwrap() > 12.0, "{quality:?}");
         assert!(quality.value("quality.max_dihedral").unwrap() < 160.0);
         let voxels = image.voxels().iter().filter(|l| l.0 == 1).count() as f64;
@@ -190,7 +190,7 @@ mod tests {
         let image = image(26, label);
         let result = mesh(&image, 1);
         check_mixed_mesh(&result).unwrap();
-        let quality = mesh_quality(&result, &RunContext::with_threads(1).unwrap()).statistics();
+        let quality = mesh_quality(&result, &RunContext::with_threads(1).unwrap()).unwrap().statistics();
         assert!(quality.value("quality.min_dihedral").unwrap() > 8.0, "{quality:?}");
         for label in 1..5u16 {
             let voxels = image.voxels().iter().filter(|l| l.0 == label).count() as f64;

@@ -23,6 +23,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::context::RunContext;
+use crate::error::{Error, Result};
 use crate::geometry::tetrahedron::{self, AngleRange};
 use crate::index::VertexId;
 use crate::mesh::mixed_mesh::{ElementKind, MixedMesh};
@@ -362,12 +363,18 @@ fn kind_slot(kind: ElementKind) -> usize {
 }
 
 /// The quality of a mesh, in parallel on the context's workers.
-pub fn mesh_quality(mesh: &MixedMesh, context: &RunContext) -> MeshQuality {
+///
+/// # Errors
+/// [`Error::Cancelled`]; a time limit does not end it, so that a mesh which reached that has figures too.
+pub fn mesh_quality(mesh: &MixedMesh, context: &RunContext) -> Result<MeshQuality> {
     let elements: Vec<usize> = (0..mesh.element_count()).step_by(CHUNK).collect();
     let partials: Vec<Partial> = context.install(|| {
         elements
             .par_iter()
             .map(|&begin| {
+                if context.is_cancelled() {
+                    return Err(Error::Cancelled);
+                }
                 let mut partial = Partial::empty();
                 let mut corners = [DVec3::ZERO; 8];
                 for index in begin..(begin + CHUNK).min(mesh.element_count()) {
@@ -378,11 +385,11 @@ pub fn mesh_quality(mesh: &MixedMesh, context: &RunContext) -> MeshQuality {
                     }
                     partial.add(kind, &corners[..count]);
                 }
-                partial
+                Ok(partial)
             })
-            .collect()
-    });
-    sum_in_order(&partials)
+            .collect::<Result<_>>()
+    })?;
+    Ok(sum_in_order(&partials))
 }
 
 /// The quality of plain tets, in parallel on the context's workers.
@@ -439,6 +446,17 @@ mod tests {
         [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
             .map(|(x, y, z)| DVec3::new(f64::from(x), f64::from(y), f64::from(z)))
             .to_vec()
+    }
+
+    #[test]
+    fn a_cancelled_run_has_no_figures_and_one_past_its_time_has() {
+        let points = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z].to_vec();
+        let mesh = MixedMesh::from_tets(points, &[[0, 1, 2, 3].map(VertexId)], vec![1]).unwrap();
+        let context = RunContext::with_threads(1).unwrap();
+        context.set_time_limit(Some(std::time::Duration::ZERO));
+        assert!(mesh_quality(&mesh, &context).is_ok());
+        context.cancel_token().cancel();
+        assert!(matches!(mesh_quality(&mesh, &context), Err(Error::Cancelled)));
     }
 
     #[test]

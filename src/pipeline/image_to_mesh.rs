@@ -30,7 +30,7 @@ pub fn run(input: &Input, parameters: &ParameterSet, context: &RunContext) -> Re
     let mut options = Options::from_parameters(&with_fidelity_file(parameters)?)?;
     options.fixed_points.extend_from_slice(input.fixed_points);
     let (output, report) = lattice::run(input.labels, &options, context)?;
-    Ok(Output {
+    Output {
         mesh: Some(output.mesh),
         meshes: output.meshes,
         images: output.images,
@@ -38,7 +38,7 @@ pub fn run(input: &Input, parameters: &ParameterSet, context: &RunContext) -> Re
         statistics: report.statistics(),
         ..Output::default()
     }
-    .with_mesh_figures(context))
+    .with_mesh_figures(context)
 }
 
 /// The parameters with the contents of the `multiple-fidelities` file in place of its name.

@@ -92,16 +92,18 @@ pub struct Output {
 
 impl Output {
     /// The same output with the counts and the quality of its mesh among its statistics.
-    #[must_use]
-    fn with_mesh_figures(mut self, context: &RunContext) -> Self {
+    ///
+    /// # Errors
+    /// [`crate::error::Error::Cancelled`].
+    fn with_mesh_figures(mut self, context: &RunContext) -> Result<Self> {
         if let Some(mesh) = &self.mesh {
             self.statistics.set("mesh.points", mesh.points.len() as f64);
             self.statistics.set("mesh.elements", mesh.element_count() as f64);
             let begin = Instant::now();
-            self.statistics.extend(&mesh_quality(mesh, context).statistics());
+            self.statistics.extend(&mesh_quality(mesh, context)?.statistics());
             self.statistics.set("time.quality_figures", begin.elapsed().as_secs_f64());
         }
-        self
+        Ok(self)
     }
 }
 

@@ -229,7 +229,7 @@ mod tests {
                 for (found, wanted) in volumes(&mesh).iter().zip(wanted) {
                     assert!((found / wanted - 1.0).abs() < 0.2, "{method:?} {size}: {found} of {wanted}");
                 }
-                let quality = mesh_quality(&mesh, &RunContext::with_threads(1).unwrap());
+                let quality = mesh_quality(&mesh, &RunContext::with_threads(1).unwrap()).unwrap();
                 assert!(quality.min_scaled_jacobian > 0.02, "{method:?} {size}: {}", quality.min_scaled_jacobian);
                 mesh.element_count()
             });

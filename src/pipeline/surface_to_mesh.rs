@@ -58,7 +58,7 @@ pub fn run(input: &Input, parameters: &ParameterSet, context: &RunContext) -> Re
     let options = Options::from_parameters(parameters)?;
     let surface = with_options(input.surface, &options)?;
     let (mesh, report) = conforming::run(&surface, input.sizing, &options, context)?;
-    Ok(Output { mesh: Some(mesh), statistics: report.statistics(), ..Output::default() }.with_mesh_figures(context))
+    Output { mesh: Some(mesh), statistics: report.statistics(), ..Output::default() }.with_mesh_figures(context)
 }
 
 /// Checks a surface and says everything that is wrong with it; an invalid surface is no error here.

@@ -29,7 +29,7 @@ pub fn run(matches: &ArgMatches) -> Result<()> {
     let mut figures = Statistics::default();
     figures.set("mesh.points", mesh.points.len() as f64);
     figures.set("mesh.elements", mesh.element_count() as f64);
-    figures.extend(&mesh_quality(&mesh, &context).statistics());
+    figures.extend(&mesh_quality(&mesh, &context)?.statistics());
     figures.extend(&evaluation::label_figures(&mesh));
     if let Some(image) = arguments::path(matches, "image") {
         let labels = job_inputs::read_labels(&image.to_string_lossy())?;
