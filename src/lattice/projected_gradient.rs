@@ -227,9 +227,13 @@ impl<'a> Descent<'a> {
 
     /// How fast the curvature changes around each voxel of the band, in order: the root of the mean square of the third derivatives
     /// there and at the six neighbours, for a length of the mean spacing. 0.02 on a ball of 20 voxels, 0.2 on a rod of 2.
-    pub fn roughness(&mut self) -> Vec<f32> {
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+    pub fn roughness(&mut self, context: &RunContext) -> Result<Vec<f32>> {
         self.ahead.copy_from_slice(&self.values);
         self.take_bending();
+        context.check()?;
         let Self { bricks, bending, terms, weights, rates, scale, .. } = &*self;
         let slots = bricks.slots();
         // Sums of the weighted squares, and of their weights, for the voxels of a brick.
@@ -259,8 +263,12 @@ impl<'a> Descent<'a> {
         };
         let mut by_brick = vec![[[0.0f32; WIDTH]; 2]; self.values.len() / WIDTH];
         bricks.stored(&mut by_brick).par_chunks_mut(CHUNK / WIDTH).enumerate().for_each(|(chunk, rows)| {
-            rows.iter_mut().zip(bricks.chunk(chunk)).for_each(|(row, brick)| *row = of_brick(brick));
+            // What is left undone is never seen: the check below fails too.
+            if !context.is_cancelled() {
+                rows.iter_mut().zip(bricks.chunk(chunk)).for_each(|(row, brick)| *row = of_brick(brick));
+            }
         });
+        context.check()?;
         let sums_of = |slot: usize| by_brick[slot / WIDTH].map(|sums| sums[slot % WIDTH]);
         let with_neighbors = |slot: &u32| {
             let beside = bricks.neighbors(*slot).into_iter().flatten().map(sums_of);
@@ -268,7 +276,7 @@ impl<'a> Descent<'a> {
             // The rates of the three axes sum to a quarter: six terms of it are the square of all third derivatives.
             if rates > 0.0 { (1.5 * scale * square / rates).sqrt() } else { 0.0 }
         };
-        slots.par_iter().with_min_len(CHUNK).map(with_neighbors).collect()
+        Ok(slots.par_iter().with_min_len(CHUNK).map(with_neighbors).collect())
     }
 
     /// The values by slot.
@@ -570,17 +578,22 @@ mod tests {
     fn the_roughness_of_a_cubic_is_its_third_derivative_for_any_spacing() {
         let size = [9; 3];
         let bricks = Bricks::new(&[true; 729], size);
+        let context = RunContext::with_threads(1).unwrap();
         for spacing in [DVec3::ONE, DVec3::splat(0.6), SPACING] {
             for axis in 0..3 {
                 let at = |n: usize| [n % 9, n / 9 % 9, n / 81][axis] as f64 * spacing[axis];
                 let value = |n: usize| Unknown { value: (0.1 * at(n).powi(3)) as f32, low: -1e3, high: 1e3 };
                 let unknowns: Vec<Unknown> = (0..729).map(value).collect();
-                let roughness = Descent::new(&bricks, &unknowns, spacing).roughness();
+                let roughness = Descent::new(&bricks, &unknowns, spacing).roughness(&context).unwrap();
                 let mean = spacing.element_sum() / 3.0;
                 let (found, expected) = (f64::from(roughness[4 + 9 * (4 + 9 * 4)]), 0.6 * mean * mean);
                 assert!((found / expected - 1.0).abs() < 1e-3, "{found} {expected}");
             }
         }
+        context.cancel_token().cancel();
+        let unknowns = [Unknown { value: 0.0, low: -1.0, high: 1.0 }; 729];
+        let cancelled = Descent::new(&bricks, &unknowns, SPACING).roughness(&context);
+        assert!(matches!(cancelled, Err(crate::Error::Cancelled)));
     }
 
     #[test]

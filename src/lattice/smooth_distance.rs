@@ -563,13 +563,11 @@ impl<'a> LabelBand<'a> {
         let steps = bending_steps(spacing);
         let first = (FIRST_STEPS * steps as f64) as usize;
         descent.run(Energy::Bending, first, context)?;
-        let mut roughness = descent.roughness();
-        context.check()?;
+        let mut roughness = descent.roughness(context)?;
         let more = more_steps(steps, &roughness);
         if more > 0 {
             descent.run(Energy::Bending, more, context)?;
-            roughness = descent.roughness();
-            context.check()?;
+            roughness = descent.roughness(context)?;
         }
         self.raise_margins(descent, &roughness, spacing.length() as f32);
         descent.run(Energy::Bending, steps - first, context)?;
