@@ -113,7 +113,10 @@ pub fn relabel_beyond_surface(
                 around.extend(mesh.tets[t as usize]);
             }
         }
-        beyond = mesh.tets_of(around).into_iter().filter_map(|t| Some((cause_of(mesh, t, bounds)?, t))).collect();
+        let near = mesh.tets_of(around).into_par_iter().with_min_len(CHUNK);
+        let near = near.take_any_while(|_| !context.is_cancelled());
+        beyond = near.filter_map(|t| Some((cause_of(mesh, t, bounds)?, t))).collect();
+        context.check()?;
         if beyond.is_empty() {
             break;
         }
