@@ -13,7 +13,7 @@
 //! A face has one or two tets; a third one is an internal error found here.
 //!
 //! # Cost
-//! 16 bytes for each of half of the sides (32 a tet) beside the result, for the time of the call; parallel, the same result
+//! 16 bytes for each of a quarter of the sides (16 a tet) beside the result, for the time of the call; parallel, the same result
 //! for any number of threads.
 
 use rayon::prelude::*;
@@ -33,7 +33,7 @@ const CHUNK: usize = 1 << 15;
 const BUCKETS: usize = 256;
 
 /// Passes over the tets, each for as many buckets: each looks at all tets again.
-const PASSES: usize = 2;
+const PASSES: usize = 4;
 
 #[derive(Clone, Copy, Default)]
 struct Side {
