@@ -101,7 +101,8 @@ pub struct CancelToken(Arc<AtomicBool>);
 impl CancelToken {
     /// Asks the run to stop; it ends with [`Error::Cancelled`] within 0.2 s.
     pub fn cancel(&self) {
-        // Relaxed: the flag guards no other data, it is only polled.
+        // Relaxed: the flag guards no other data, it is only polled. A pass that saw it set and left work out is joined before the
+        // check that follows, which can see no older value of the same atomic.
         self.0.store(true, Ordering::Relaxed);
     }
 

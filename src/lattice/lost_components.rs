@@ -141,7 +141,6 @@ mod tests {
         let context = RunContext::with_threads(1).unwrap();
         find_lost(&mut mesh, &image, &context).unwrap();
         find_lost(&mut mesh, &image, &context).unwrap();
-        let context = RunContext::with_threads(1).unwrap();
         tell_lost(&mesh.lost, &image, &[0, 10, 20], &context);
         let findings = context.take_findings();
         let told: Vec<(FindingCode, [i64; 2])> = findings.iter().map(|f| (f.code, f.ids)).collect();

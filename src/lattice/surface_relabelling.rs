@@ -327,19 +327,23 @@ mod tests {
         relabel_beyond_surface(mesh, bounds, &RunContext::with_threads(1).unwrap()).unwrap()
     }
 
-    /// Works on a tet of label 1 with the corners 0 to 3 in a larger one with the corners 4 to 7, turned against it: each set
-    /// of inner corners makes a tet with the outer ones of the others. Those of `sets` have label 2, the rest 1; the middle lies
-    /// 0.8 mm within label 2.
-    fn with_inner_tet<T>(sets: &[usize], work: impl FnOnce(ImprovementMesh) -> T) -> T {
+    /// Works on a tet with the corners 0 to 3 in a larger one with the corners 4 to 7, turned against it: each set of inner corners, from
+    /// 1 to 15, makes a tet with the outer ones of the others, of the label that the set is given. The middle lies 0.8 mm within label 2
+    /// of the image.
+    fn with_tets_of_sets<T>(label: impl Fn(usize) -> Label, work: impl FnOnce(ImprovementMesh) -> T) -> T {
         let corners = [[-1.0, -1.0, -1.0], [1.0, 1.0, -1.0], [1.0, -1.0, 1.0], [-1.0, 1.0, 1.0]].map(DVec3::from);
         let middle = DVec3::new(3.7, 4.0, 4.0);
         let inner = corners.map(|c| middle + 0.3 * c);
         let points: Vec<DVec3> = inner.into_iter().chain(corners.map(|c| middle - 2.0 * c)).collect();
         let of_set = |set: usize| [0, 1, 2, 3].map(|v| if set >> v & 1 == 1 { v } else { 4 + v });
-        let labelled: Vec<([u32; 4], Label)> =
-            (1..16).map(|set| (of_set(set), Label(1 + u16::from(sets.contains(&set))))).collect();
+        let labelled: Vec<([u32; 4], Label)> = (1..16).map(|set| (of_set(set), label(set))).collect();
         let image = voxel_image(9, |p| if p.x < 4.5 { 2 } else { 1 });
         with_tets(points, &labelled, &image, work)
+    }
+
+    /// The same with label 2 for the tets of `sets` and label 1 for the rest.
+    fn with_inner_tet<T>(sets: &[usize], work: impl FnOnce(ImprovementMesh) -> T) -> T {
+        with_tets_of_sets(|set| Label(1 + u16::from(sets.contains(&set))), work)
     }
 
     #[test]
@@ -366,18 +370,11 @@ mod tests {
 
     #[test]
     fn candidates_are_the_tets_with_as_many_faces_at_other_labels_also_those_of_the_scaffold() {
-        // The tets of `with_inner_tet` in three labels, one of them the scaffold's.
-        let corners = [[-1.0, -1.0, -1.0], [1.0, 1.0, -1.0], [1.0, -1.0, 1.0], [-1.0, 1.0, 1.0]].map(DVec3::from);
-        let middle = DVec3::splat(4.0);
-        let points: Vec<DVec3> =
-            corners.iter().map(|c| middle + 0.3 * *c).chain(corners.iter().map(|c| middle - 2.0 * *c)).collect();
-        let of_set = |set: usize| [0, 1, 2, 3].map(|v| if set >> v & 1 == 1 { v } else { 4 + v });
-        let image = voxel_image(9, |p| u16::from(p.x < 4.5));
         let context = RunContext::with_threads(1).unwrap();
         for seed in 0..40usize {
+            // Three labels, one of them the scaffold's.
             let label = |set: usize| Label(((set * (seed + 7) + seed * seed / 3) % 5 % 3) as u16);
-            let labelled: Vec<([u32; 4], Label)> = (1..16).map(|set| (of_set(set), label(set))).collect();
-            with_tets(points.clone(), &labelled, &image, |mut mesh| {
+            with_tets_of_sets(label, |mut mesh| {
                 mesh.refresh_stars(&context).unwrap();
                 let faces_of = |t: u32| {
                     let is_other = |face: &usize| {
