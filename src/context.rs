@@ -19,6 +19,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use rayon::prelude::*;
+
 use crate::error::{Error, Finding, Result};
 
 /// How often the calling thread looks at progress and cancellation.
@@ -242,6 +244,12 @@ impl RunContext {
         if item.is_multiple_of(interval) { self.check() } else { Ok(()) }
     }
 
+    /// The items of a parallel pass, no more of them once the run is cancelled. What the pass makes is not whole then:
+    /// [`check`](Self::check) is to follow it.
+    pub fn until_cancelled<I: IntoParallelIterator>(&self, items: I) -> impl ParallelIterator<Item = I::Item> {
+        items.into_par_iter().take_any_while(|_| !self.is_cancelled())
+    }
+
     /// Says where the run is: a stable stage name and the fraction of the whole run, 0 to 1.
     pub fn progress(&self, stage: &'static str, fraction: f64) {
         let mut progress = lock(&self.shared.progress);
@@ -356,6 +364,15 @@ mod tests {
         context.cancel_token().cancel();
         let ends = (0..7).filter(|item| context.check_every(3, *item).is_err());
         assert_eq!(ends.collect::<Vec<usize>>(), [0, 3, 6]);
+    }
+
+    #[test]
+    fn a_pass_has_all_items_in_order_until_the_run_is_cancelled() {
+        let context = RunContext::with_threads(2).unwrap();
+        let items = || context.install(|| context.until_cancelled(0..1000).collect::<Vec<usize>>());
+        assert_eq!(items(), (0..1000).collect::<Vec<usize>>());
+        context.cancel_token().cancel();
+        assert!(items().is_empty());
     }
 
     #[test]

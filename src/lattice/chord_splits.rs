@@ -121,8 +121,7 @@ pub fn chords(mesh: &ImprovementMesh, tolerance: f64, context: &RunContext) -> R
         star.iter().flat_map(move |face| of_face(mesh, v, face, tolerance, places)).flatten()
     };
     let vertices = (0..mesh.points.len() as u32).into_par_iter().with_min_len(1024);
-    let vertices = vertices.take_any_while(|_| !context.is_cancelled());
-    let mut far: Vec<(f64, Chord)> = vertices.flat_map_iter(of_vertex).collect();
+    let mut far: Vec<(f64, Chord)> = context.until_cancelled(vertices).flat_map_iter(of_vertex).collect();
     context.check()?;
     far.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
     let mut seen = rustc_hash::FxHashSet::default();

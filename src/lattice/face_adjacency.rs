@@ -209,8 +209,8 @@ pub fn neighbors_after(
             (face, ((t as u32) << 2) | f as u32)
         })
     };
-    let all = (0..tets.len()).into_par_iter().with_min_len(CHUNK).take_any_while(|_| !context.is_cancelled());
-    let mut faces: Vec<([u32; 3], u32)> = all.flat_map_iter(open_faces).collect();
+    let all = (0..tets.len()).into_par_iter().with_min_len(CHUNK);
+    let mut faces: Vec<([u32; 3], u32)> = context.until_cancelled(all).flat_map_iter(open_faces).collect();
     context.check()?;
     faces.par_sort_unstable();
     context.check()?;

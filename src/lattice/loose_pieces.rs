@@ -193,8 +193,7 @@ impl Left {
             l
         };
         let tets = (0..mesh.tets.len() as u32).into_par_iter().with_min_len(SWEPT_CHUNK);
-        let tets = tets.take_any_while(|_| !context.is_cancelled());
-        let tets = tets.filter(|t| is_sought[mesh.tet_labels[*t as usize].index()]);
+        let tets = context.until_cancelled(tets).filter(|t| is_sought[mesh.tet_labels[*t as usize].index()]);
         // Whole numbers: the sums do not depend on the order.
         let voxels = tets.fold(FxHashMap::default, add).reduce(FxHashMap::default, sum);
         context.check()?;

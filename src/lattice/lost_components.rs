@@ -70,8 +70,7 @@ pub fn find_lost(mesh: &mut CandidateMesh, image: &LabelImage, context: &RunCont
     let elements = mesh.tets.par_iter().zip(&mesh.tet_labels).with_min_len(CHUNK);
     let elements = elements.filter(|(_, label)| has_small[label.index()]);
     let corners = elements.map(|(tet, label)| (tet.map(|v| mesh.points[v.index()]), *label));
-    let corners = corners.take_any_while(|_| !context.is_cancelled());
-    let mut seen: Vec<u32> = corners.flat_map_iter(seen_by).collect();
+    let mut seen: Vec<u32> = context.until_cancelled(corners).flat_map_iter(seen_by).collect();
     context.check()?;
     seen.sort_unstable();
     let mut unseen: Vec<u32> = sought.into_values().filter(|c| seen.binary_search(c).is_err()).collect();

@@ -70,7 +70,7 @@ pub fn mark_missed_voxels(
         any
     };
     let all = (0..elements.tets.len()).into_par_iter().with_min_len(CHUNK);
-    let missing: Vec<usize> = all.take_any_while(|_| !context.is_cancelled()).filter(misses).collect();
+    let missing: Vec<usize> = context.until_cancelled(all).filter(misses).collect();
     context.check()?;
     let mut marked = vec![false; lattice.tets.len()];
     missing.into_iter().for_each(|e| marked[elements.leaves[e] as usize] = true);

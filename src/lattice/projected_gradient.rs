@@ -262,11 +262,9 @@ impl<'a> Descent<'a> {
             sums
         };
         let mut by_brick = vec![[[0.0f32; WIDTH]; 2]; self.values.len() / WIDTH];
-        bricks.stored(&mut by_brick).par_chunks_mut(CHUNK / WIDTH).enumerate().for_each(|(chunk, rows)| {
-            // What is left undone is never seen: the check below fails too.
-            if !context.is_cancelled() {
-                rows.iter_mut().zip(bricks.chunk(chunk)).for_each(|(row, brick)| *row = of_brick(brick));
-            }
+        let chunks = bricks.stored(&mut by_brick).par_chunks_mut(CHUNK / WIDTH).enumerate();
+        context.until_cancelled(chunks).for_each(|(chunk, rows)| {
+            rows.iter_mut().zip(bricks.chunk(chunk)).for_each(|(row, brick)| *row = of_brick(brick));
         });
         context.check()?;
         let sums_of = |slot: usize| by_brick[slot / WIDTH].map(|sums| sums[slot % WIDTH]);

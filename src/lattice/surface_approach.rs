@@ -236,8 +236,7 @@ fn far_places(mesh: &ImprovementMesh, tolerance: f64, context: &RunContext) -> R
         (off > tolerance).then_some((off, Place::Vertex(v)))
     };
     let vertices = (0..mesh.points.len() as u32).into_par_iter().with_min_len(1024);
-    let vertices = vertices.take_any_while(|_| !context.is_cancelled());
-    let mut far: Vec<(f64, Place)> = vertices.filter_map(of_vertex).collect();
+    let mut far: Vec<(f64, Place)> = context.until_cancelled(vertices).filter_map(of_vertex).collect();
     // What a cancelled run left out above is never seen: this fails too.
     far.extend(chords(mesh, tolerance, context)?.into_iter().map(|(off, chord)| (off, Place::Between(chord))));
     far.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));

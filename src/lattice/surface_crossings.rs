@@ -43,7 +43,7 @@ fn is_kept_apart(mesh: &ImprovementMesh, context: &RunContext) -> Result<bool> {
         orient3d(a, b, c, d) > 0.0
     };
     let all = || (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096);
-    let tets = || all().take_any_while(|_| !context.is_cancelled()).filter(|t| mesh.is_live(*t));
+    let tets = || context.until_cancelled(all()).filter(|t| mesh.is_live(*t));
     let are_positive = tets().all(is_positive);
     context.check()?;
     if !are_positive {
@@ -93,7 +93,7 @@ fn crossings_among(
     };
     context.check()?;
     let asked = (0..faces.len()).into_par_iter().with_min_len(256).filter(|face| is_asked(*face));
-    let count = asked.take_any_while(|_| !context.is_cancelled()).map(of_face).sum();
+    let count = context.until_cancelled(asked).map(of_face).sum();
     context.check()?;
     Ok(count)
 }
@@ -110,8 +110,7 @@ fn outer_faces(mesh: &ImprovementMesh, context: &RunContext) -> Vec<[u32; 3]> {
             (may_be && is_outside(mesh.neighbor(t, face))).then_some(corners)
         })
     };
-    let all = (0..mesh.tets.len() as u32).into_par_iter().take_any_while(|_| !context.is_cancelled());
-    all.flat_map_iter(of_tet).collect()
+    context.until_cancelled(0..mesh.tets.len() as u32).flat_map_iter(of_tet).collect()
 }
 
 #[cfg(test)]

@@ -264,14 +264,10 @@ fn source_displacements(
     edges: &[f64],
     context: &RunContext,
 ) -> Result<Vec<Option<DVec3>>> {
-    let displacements = (0..input.sources.vertices.len())
-        .into_par_iter()
-        .with_min_len(64)
+    let sources = (0..input.sources.vertices.len()).into_par_iter().with_min_len(64);
+    let displacements = context
+        .until_cancelled(sources)
         .map(|at| {
-            // What is left out is never seen: the check below fails too.
-            if context.is_cancelled() {
-                return None;
-            }
             let vertex = input.sources.vertices[at].index();
             let (point, sides) = (mesh.points[vertex], input.sources.sides(at));
             let radius = input.options.search_radius_factor * edges[at];

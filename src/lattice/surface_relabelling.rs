@@ -95,8 +95,8 @@ pub fn relabel_beyond_surface(
 ) -> Result<usize> {
     let mut changed = 0;
     let candidates = tets_at_surface(mesh, bounds, context)?.into_par_iter().with_min_len(CHUNK);
-    let candidates = candidates.take_any_while(|_| !context.is_cancelled());
-    let mut beyond: Vec<(f64, u32)> = candidates.filter_map(|t| Some((cause_of(mesh, t, bounds)?, t))).collect();
+    let mut beyond: Vec<(f64, u32)> =
+        context.until_cancelled(candidates).filter_map(|t| Some((cause_of(mesh, t, bounds)?, t))).collect();
     context.check()?;
     for _ in 0..PASSES {
         beyond.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
@@ -114,8 +114,7 @@ pub fn relabel_beyond_surface(
             }
         }
         let near = mesh.tets_of(around).into_par_iter().with_min_len(CHUNK);
-        let near = near.take_any_while(|_| !context.is_cancelled());
-        beyond = near.filter_map(|t| Some((cause_of(mesh, t, bounds)?, t))).collect();
+        beyond = context.until_cancelled(near).filter_map(|t| Some((cause_of(mesh, t, bounds)?, t))).collect();
         context.check()?;
         if beyond.is_empty() {
             break;
@@ -151,8 +150,7 @@ fn tets_at_surface(mesh: &ImprovementMesh, bounds: &RelabellingBounds, context: 
         None => Vec::new(),
     };
     let vertices = (0..mesh.points.len() as u32).into_par_iter().with_min_len(CHUNK);
-    let vertices = vertices.take_any_while(|_| !context.is_cancelled());
-    let mut tets: Vec<u32> = vertices.flat_map_iter(at_vertex).collect();
+    let mut tets: Vec<u32> = context.until_cancelled(vertices).flat_map_iter(at_vertex).collect();
     context.check()?;
     tets.par_sort_unstable();
     tets.dedup();

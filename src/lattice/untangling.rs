@@ -77,8 +77,7 @@ pub fn move_guarded(
     };
     let spoiled = |points: &[DVec3], group: &GuardedTets| -> Vec<u32> {
         let all = (0..group.tets.len() as u32).into_par_iter().with_min_len(1024);
-        let all = all.take_any_while(|_| !context.is_cancelled());
-        all.filter(|t| is_spoiled(points, group, *t)).collect()
+        context.until_cancelled(all).filter(|t| is_spoiled(points, group, *t)).collect()
     };
     let mut bad: Vec<Vec<u32>> = guarded.iter().map(|group| spoiled(points, group)).collect();
     let mut round = 0;
