@@ -13,8 +13,13 @@
 
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
+
+/// Rows of voxels between two looks at whether the run is cancelled.
+const ROWS_PER_CHECK: usize = 1024;
 
 /// Which voxels are neighbours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,9 +76,14 @@ pub struct Components {
 
 impl Components {
     /// The components of equal labels in `image`.
-    pub fn new(image: &LabelImage, connectivity: Connectivity, members: Members) -> Self {
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+    pub fn new(image: &LabelImage, connectivity: Connectivity, members: Members, context: &RunContext) -> Result<Self> {
         let [ni, nj, _] = image.grid().size();
-        let per_row: Vec<Vec<Run>> = image.voxels().par_chunks(ni).map(|row| runs_of(row, members)).collect();
+        let per_row = context.until_cancelled(image.voxels().par_chunks(ni)).map(|row| runs_of(row, members));
+        let per_row: Vec<Vec<Run>> = per_row.collect();
+        context.check()?;
         let mut rows = Vec::with_capacity(per_row.len() + 1);
         let mut runs = Vec::with_capacity(per_row.iter().map(Vec::len).sum());
         rows.push(0);
@@ -83,15 +93,17 @@ impl Components {
         }
         let mut parents: Vec<u32> = (0..runs.len() as u32).collect();
         for row in 0..rows.len() - 1 {
+            context.check_every(ROWS_PER_CHECK, row)?;
             unite_with_earlier_rows(row, nj, connectivity, &rows, &runs, &mut parents);
         }
         let mut result = Self { rows, runs, components: Vec::new(), rows_per_slice: nj };
-        result.number(&mut parents);
-        result
+        result.number(&mut parents, context)?;
+        Ok(result)
     }
 
-    fn number(&mut self, parents: &mut [u32]) {
+    fn number(&mut self, parents: &mut [u32], context: &RunContext) -> Result<()> {
         for row in 0..self.rows.len() - 1 {
+            context.check_every(ROWS_PER_CHECK, row)?;
             for r in self.rows[row]..self.rows[row + 1] {
                 let root = root_of(parents, r as u32) as usize;
                 let run = self.runs[r];
@@ -106,6 +118,7 @@ impl Components {
                 self.components[self.runs[r].component as usize].voxels += u64::from(run.end - run.begin);
             }
         }
+        Ok(())
     }
 
     /// The components in the order of their first voxels.
@@ -216,14 +229,26 @@ mod tests {
         LabelImage::new(grid, voxels.iter().map(|v| Label(*v)).collect(), vec![0, 1, 2]).unwrap()
     }
 
+    fn components_of(image: &LabelImage, connectivity: Connectivity, members: Members) -> Components {
+        Components::new(image, connectivity, members, &RunContext::with_threads(1).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn a_cancelled_run_has_no_components() {
+        let context = RunContext::with_threads(1).unwrap();
+        context.cancel_token().cancel();
+        let result = Components::new(&image([2, 1, 1], &[1, 2]), Connectivity::Face, Members::All, &context);
+        assert!(matches!(result, Err(crate::Error::Cancelled)));
+    }
+
     #[test]
     fn contacts_count_by_connectivity() {
         // Two voxels that touch in a corner, one that touches the first along an edge.
         let image = image([2, 2, 2], &[1, 0, 0, 1, 0, 0, 0, 0]);
-        let count = |c| Components::new(&image, c, Members::Foreground).components().len();
+        let count = |c| components_of(&image, c, Members::Foreground).components().len();
         assert_eq!((count(Connectivity::Face), count(Connectivity::Edge), count(Connectivity::Vertex)), (2, 1, 1));
         let corner = self::image([2, 2, 2], &[1, 0, 0, 0, 0, 0, 0, 1]);
-        let count = |c| Components::new(&corner, c, Members::Foreground).components().len();
+        let count = |c| components_of(&corner, c, Members::Foreground).components().len();
         assert_eq!((count(Connectivity::Face), count(Connectivity::Edge), count(Connectivity::Vertex)), (2, 2, 1));
     }
 
@@ -267,7 +292,7 @@ mod tests {
                 .collect();
             let image = image([8, 7, 6], &voxels);
             for (connectivity, reach) in [(Connectivity::Face, 1), (Connectivity::Edge, 2), (Connectivity::Vertex, 3)] {
-                let components = Components::new(&image, connectivity, Members::All);
+                let components = components_of(&image, connectivity, Members::All);
                 assert_eq!(components.components().len(), flooded(&image, reach));
                 assert_eq!(components.components().iter().map(|c| c.voxels).sum::<u64>(), 336);
             }

@@ -12,11 +12,16 @@
 
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
 
 /// Euler numbers of all labels, 26- and 6-connected; none are counted for the background.
-pub fn euler_numbers(image: &LabelImage) -> Vec<[i64; 2]> {
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn euler_numbers(image: &LabelImage, context: &RunContext) -> Result<Vec<[i64; 2]>> {
     let [ni, nj, nk] = image.grid().size();
     let contributions = corner_contributions();
     let none = || vec![[0i64; 2]; image.label_count()];
@@ -41,8 +46,9 @@ pub fn euler_numbers(image: &LabelImage) -> Vec<[i64; 2]> {
         sums
     };
     // Whole numbers: the sum does not depend on the order.
-    let eighths = (0..=nk).into_par_iter().fold(none, of_layer).reduce(none, add);
-    eighths.into_iter().map(|numbers| numbers.map(|n| n / 8)).collect()
+    let eighths = context.until_cancelled(0..=nk).fold(none, of_layer).reduce(none, add);
+    context.check()?;
+    Ok(eighths.into_iter().map(|numbers| numbers.map(|n| n / 8)).collect())
 }
 
 /// Label of one of the eight voxels at a corner (bits of `side`: x, y, z), which lies between the voxels `corner - 1` and
@@ -86,11 +92,12 @@ mod tests {
     #[test]
     fn euler_numbers_are_those_of_known_bodies() {
         const SIZE: [usize; 3] = [12, 11, 10];
+        let context = RunContext::with_threads(1).unwrap();
         let number = |is_set: &dyn Fn([usize; 3]) -> bool| {
             let at = |i: usize| [i % SIZE[0], i / SIZE[0] % SIZE[1], i / SIZE[0] / SIZE[1]];
             let grid = Grid::new(SIZE, DVec3::new(1.0, 2.0, 3.0), DVec3::ZERO, DMat3::IDENTITY).unwrap();
             let voxels = (0..SIZE.iter().product()).map(|i| Label(u16::from(is_set(at(i))))).collect();
-            euler_numbers(&LabelImage::new(grid, voxels, vec![0, 1]).unwrap())[1]
+            euler_numbers(&LabelImage::new(grid, voxels, vec![0, 1]).unwrap(), &context).unwrap()[1]
         };
         assert_eq!(number(&|p| p == [0, 0, 0]), [1, 1]);
         assert_eq!(number(&|p| p == [4, 4, 4] || p == [5, 5, 4]), [1, 2]);

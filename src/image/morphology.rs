@@ -11,6 +11,7 @@
 
 use rayon::prelude::*;
 
+use crate::context::RunContext;
 use crate::error::{Error, Result};
 use crate::image::connected_components::{Components, Connectivity, Members};
 use crate::image::grid::Grid;
@@ -29,25 +30,29 @@ pub enum IsolatedKind {
 /// Each voxel becomes `factor^3` voxels; the image covers the same place.
 ///
 /// # Errors
-/// [`Error::InvalidArgument`] where the size overflows.
-pub fn upsample(image: &LabelImage, factor: usize) -> Result<LabelImage> {
+/// [`Error::InvalidArgument`] where the size overflows; [`Error::Cancelled`], [`Error::LimitReached`].
+pub fn upsample(image: &LabelImage, factor: usize, context: &RunContext) -> Result<LabelImage> {
     let grid = image.grid();
     let size = grid.size().map(|s| s.saturating_mul(factor));
     let shift = glam::DVec3::splat((1.0 / factor as f64 - 1.0) / 2.0);
     let origin = grid.index_to_world(shift);
     let fine = Grid::new(size, grid.spacing() / factor as f64, origin, grid.direction())?;
     let mut voxels = vec![Label::BACKGROUND; fine.voxel_count()];
-    voxels.par_chunks_mut(size[0]).enumerate().for_each(|(row, target)| {
+    context.until_cancelled(voxels.par_chunks_mut(size[0]).enumerate()).for_each(|(row, target)| {
         let (j, k) = (row % size[1] / factor, row / size[1] / factor);
         for (i, voxel) in target.iter_mut().enumerate() {
             *voxel = image.at(i / factor, j, k);
         }
     });
+    context.check()?;
     LabelImage::new(fine, voxels, image.values().to_vec())
 }
 
 /// Relabels isolated voxels of one kind; returns how many voxels of each label changed.
-pub fn relabel_isolated(image: &mut LabelImage, kind: IsolatedKind) -> Vec<u64> {
+///
+/// # Errors
+/// [`Error::Cancelled`], [`Error::LimitReached`].
+pub fn relabel_isolated(image: &mut LabelImage, kind: IsolatedKind, context: &RunContext) -> Result<Vec<u64>> {
     let [ni, nj, nk] = image.grid().size();
     let isolated = |i: usize, j: usize, k: usize| -> Option<(usize, Label)> {
         let own = image.at(i, j, k);
@@ -70,16 +75,15 @@ pub fn relabel_isolated(image: &mut LabelImage, kind: IsolatedKind) -> Vec<u64> 
         let commonest = around.chunk_by(|a, b| a == b).max_by_key(|run| (run.len(), std::cmp::Reverse(run[0])))?;
         Some((image.grid().offset(i, j, k), commonest[0]))
     };
-    let changes: Vec<(usize, Label)> = (0..nj * nk)
-        .into_par_iter()
-        .flat_map_iter(|row| (0..ni).filter_map(move |i| isolated(i, row % nj, row / nj)))
-        .collect();
+    let of_row = |row| (0..ni).filter_map(move |i| isolated(i, row % nj, row / nj));
+    let changes: Vec<(usize, Label)> = context.until_cancelled(0..nj * nk).flat_map_iter(of_row).collect();
+    context.check()?;
     let mut changed = vec![0; image.label_count()];
     for (offset, label) in changes {
         changed[image.voxels()[offset].index()] += 1;
         image.voxels_mut()[offset] = label;
     }
-    changed
+    Ok(changed)
 }
 
 fn neighborhood(at: [usize; 3], size: [usize; 3]) -> impl Iterator<Item = (usize, usize, usize)> {
@@ -91,8 +95,11 @@ fn neighborhood(at: [usize; 3], size: [usize; 3]) -> impl Iterator<Item = (usize
 
 /// Turns face-connected regions into background that hold less than `threshold` of their label, never its largest;
 /// returns how many voxels of each label changed.
-pub fn remove_small_regions(image: &mut LabelImage, threshold: f64) -> Vec<u64> {
-    let regions = Components::new(image, Connectivity::Face, Members::Foreground);
+///
+/// # Errors
+/// [`Error::Cancelled`], [`Error::LimitReached`].
+pub fn remove_small_regions(image: &mut LabelImage, threshold: f64, context: &RunContext) -> Result<Vec<u64>> {
+    let regions = Components::new(image, Connectivity::Face, Members::Foreground, context)?;
     let labels = image.label_count();
     let (mut totals, mut largest) = (vec![0u64; labels], vec![(0u64, usize::MAX); labels]);
     for (r, region) in regions.components().iter().enumerate() {
@@ -116,15 +123,15 @@ pub fn remove_small_regions(image: &mut LabelImage, threshold: f64) -> Vec<u64> 
             }
         }
     }
-    changed
+    Ok(changed)
 }
 
 /// Each face-connected region as a label of its own; the second result is the original label of each.
 ///
 /// # Errors
-/// [`Error::CapacityExceeded`] for more than 65535 regions.
-pub fn separate_regions(image: &LabelImage) -> Result<(LabelImage, Vec<Label>)> {
-    let regions = Components::new(image, Connectivity::Face, Members::Foreground);
+/// [`Error::CapacityExceeded`] for more than 65535 regions; [`Error::Cancelled`], [`Error::LimitReached`].
+pub fn separate_regions(image: &LabelImage, context: &RunContext) -> Result<(LabelImage, Vec<Label>)> {
+    let regions = Components::new(image, Connectivity::Face, Members::Foreground, context)?;
     let count = regions.components().len();
     if count > MAX_LABELS {
         return Err(Error::CapacityExceeded { what: "regions", needed: count as u64, limit: MAX_LABELS as u64 });
@@ -152,10 +159,14 @@ mod tests {
         LabelImage::new(grid, voxels.into_iter().map(Label).collect(), vec![0, 1, 2, 3]).unwrap()
     }
 
+    fn context() -> RunContext {
+        RunContext::with_threads(1).unwrap()
+    }
+
     #[test]
     fn upsampling_keeps_the_place() {
         let coarse = image([2, 1, 1], vec![1, 2]);
-        let fine = upsample(&coarse, 2).unwrap();
+        let fine = upsample(&coarse, 2, &context()).unwrap();
         assert_eq!(fine.grid().size(), [4, 2, 2]);
         assert_eq!((fine.at(1, 1, 1), fine.at(2, 0, 0)), (Label(1), Label(2)));
         let border = |g: &Grid| g.index_to_world(DVec3::splat(-0.5));
@@ -166,21 +177,37 @@ mod tests {
     fn isolated_voxels_take_the_commonest_label() {
         let mut voxels = vec![1; 27];
         voxels[13] = 0;
+        let relabelled = |image: &mut LabelImage, kind| relabel_isolated(image, kind, &context()).unwrap();
         let mut holed = image([3, 3, 3], voxels.clone());
-        assert_eq!(relabel_isolated(&mut holed, IsolatedKind::Foreground).iter().sum::<u64>(), 0);
-        assert_eq!(relabel_isolated(&mut holed, IsolatedKind::Background)[0], 1);
+        assert_eq!(relabelled(&mut holed, IsolatedKind::Foreground).iter().sum::<u64>(), 0);
+        assert_eq!(relabelled(&mut holed, IsolatedKind::Background)[0], 1);
         assert_eq!(holed.at(1, 1, 1), Label(1));
         voxels[13] = 2;
         let mut speck = image([3, 3, 3], voxels);
-        assert_eq!(relabel_isolated(&mut speck, IsolatedKind::Foreground)[2], 1);
+        assert_eq!(relabelled(&mut speck, IsolatedKind::Foreground)[2], 1);
         assert_eq!(speck.at(1, 1, 1), Label(1));
     }
 
     #[test]
     fn small_regions_vanish_and_others_are_told_apart() {
         let mut row = image([8, 1, 1], vec![1, 1, 1, 1, 0, 1, 0, 2]);
-        assert_eq!(separate_regions(&row).unwrap().1, [0, 1, 1, 2].map(Label));
-        assert_eq!(remove_small_regions(&mut row, 0.1), vec![0, 0, 0, 0]);
-        assert_eq!(remove_small_regions(&mut row, 0.5), vec![0, 1, 0, 0]);
+        assert_eq!(separate_regions(&row, &context()).unwrap().1, [0, 1, 1, 2].map(Label));
+        assert_eq!(remove_small_regions(&mut row, 0.1, &context()).unwrap(), vec![0, 0, 0, 0]);
+        assert_eq!(remove_small_regions(&mut row, 0.5, &context()).unwrap(), vec![0, 1, 0, 0]);
+    }
+
+    #[test]
+    fn a_cancelled_run_changes_no_image() {
+        let mut voxels = vec![1; 27];
+        voxels[13] = 2;
+        let mut speck = image([3, 3, 3], voxels);
+        let before = speck.clone();
+        let context = context();
+        context.cancel_token().cancel();
+        assert!(matches!(upsample(&speck, 2, &context), Err(Error::Cancelled)));
+        assert!(matches!(relabel_isolated(&mut speck, IsolatedKind::Foreground, &context), Err(Error::Cancelled)));
+        assert!(matches!(remove_small_regions(&mut speck, 0.5, &context), Err(Error::Cancelled)));
+        assert!(matches!(separate_regions(&speck, &context), Err(Error::Cancelled)));
+        assert_eq!(speck, before);
     }
 }

@@ -31,12 +31,17 @@ use std::collections::VecDeque;
 
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::image::euler_numbers::{corner_contributions, euler_numbers, label_at_corner};
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
 
 /// Changes per contact that may lower a priority: most contacts need one change; chains of them two or three.
 const BUDGET: u64 = 8;
+
+/// Cubes between two looks at whether the run is cancelled: each tries all candidates for a contact of it.
+const CUBES_PER_CHECK: usize = 64;
 
 /// A voxel and the label it takes.
 type Change = ([usize; 3], Label);
@@ -65,11 +70,14 @@ struct Cost {
 }
 
 /// Removes corner-only and edge-only contacts of labels; returns how many voxels changed.
-pub fn remove_contacts(image: &mut LabelImage, seed: u64) -> u64 {
-    let mut work = Contacts::new(image, seed);
-    work.budget = BUDGET * work.positions_with_contacts().len() as u64;
-    work.remove_all();
-    work.changes
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`]; some contacts are left then.
+pub fn remove_contacts(image: &mut LabelImage, seed: u64, context: &RunContext) -> Result<u64> {
+    let mut work = Contacts::new(image, seed, context)?;
+    work.budget = BUDGET * work.positions_with_contacts(context)?.len() as u64;
+    work.remove_all(context)?;
+    Ok(work.changes)
 }
 
 struct Contacts<'a> {
@@ -88,7 +96,7 @@ struct Contacts<'a> {
 }
 
 impl<'a> Contacts<'a> {
-    fn new(image: &'a mut LabelImage, seed: u64) -> Self {
+    fn new(image: &'a mut LabelImage, seed: u64, context: &RunContext) -> Result<Self> {
         let counts = image.voxel_counts();
         let mut order: Vec<usize> = (1..counts.len()).collect();
         order.sort_by_key(|l| (std::cmp::Reverse(counts[*l]), *l));
@@ -107,13 +115,17 @@ impl<'a> Contacts<'a> {
             changed_by,
         };
         let range = |[closed, open]: [i64; 2]| [(open - closed).min(0), (open - closed).max(0)];
-        work.allowed = euler_numbers(work.image).into_iter().map(|numbers| range(numbers.map(|n| 8 * n))).collect();
-        work
+        let numbers = euler_numbers(work.image, context)?;
+        work.allowed = numbers.into_iter().map(|numbers| range(numbers.map(|n| 8 * n))).collect();
+        Ok(work)
     }
 
-    fn remove_all(&mut self) {
-        let mut queue: VecDeque<[usize; 3]> = self.positions_with_contacts().into();
+    fn remove_all(&mut self, context: &RunContext) -> Result<()> {
+        let mut queue: VecDeque<[usize; 3]> = self.positions_with_contacts(context)?.into();
+        let mut seen = 0;
         while let Some(position) = queue.pop_front() {
+            context.check_every(CUBES_PER_CHECK, seen)?;
+            seen += 1;
             for changed in self.repair(position) {
                 // Contacts can appear only in cubes that hold the changed voxel.
                 let from = changed.map(|c| c.saturating_sub(1));
@@ -125,16 +137,15 @@ impl<'a> Contacts<'a> {
                 }
             }
         }
+        Ok(())
     }
 
-    fn positions_with_contacts(&self) -> Vec<[usize; 3]> {
+    fn positions_with_contacts(&self, context: &RunContext) -> Result<Vec<[usize; 3]>> {
         let [ni, nj, nk] = self.image.grid().size();
-        (0..nj * nk)
-            .into_par_iter()
-            .flat_map_iter(|row| {
-                (0..ni).map(move |i| [i, row % nj, row / nj]).filter(|at| self.find_contact(*at).is_some())
-            })
-            .collect()
+        let of_row = |row| (0..ni).map(move |i| [i, row % nj, row / nj]).filter(|at| self.find_contact(*at).is_some());
+        let positions = context.until_cancelled(0..nj * nk).flat_map_iter(of_row).collect();
+        context.check()?;
+        Ok(positions)
     }
 
     /// Voxel `corner` (bits x, y, z) of the cube at `at`, where it is inside the image.
@@ -364,7 +375,11 @@ mod tests {
 
     /// Euler numbers of a label, 26- and 6-connected.
     fn euler(image: &LabelImage, label: u16) -> [i64; 2] {
-        euler_numbers(image)[usize::from(label)]
+        euler_numbers(image, &context()).unwrap()[usize::from(label)]
+    }
+
+    fn context() -> RunContext {
+        RunContext::with_threads(1).unwrap()
     }
 
     #[test]
@@ -372,9 +387,11 @@ mod tests {
         for seed in 0..4u64 {
             let mut labels = image(noise(seed).into_iter().map(|x| (4.0 * x) as u16).collect());
             let mut again = labels.clone();
-            assert!(remove_contacts(&mut labels, 1) > 0);
-            assert!(Contacts::new(&mut labels, 1).positions_with_contacts().is_empty());
-            remove_contacts(&mut again, 1);
+            let context = context();
+            assert!(remove_contacts(&mut labels, 1, &context).unwrap() > 0);
+            let left = Contacts::new(&mut labels, 1, &context).unwrap().positions_with_contacts(&context).unwrap();
+            assert!(left.is_empty());
+            remove_contacts(&mut again, 1, &context).unwrap();
             assert_eq!(labels, again);
         }
     }
@@ -382,9 +399,23 @@ mod tests {
     #[test]
     fn without_a_budget_it_ends_all_the_same() {
         let mut labels = image(noise(9).into_iter().map(|x| (4.0 * x) as u16).collect());
-        let mut work = Contacts::new(&mut labels, 1);
-        work.remove_all();
-        assert!(work.positions_with_contacts().is_empty());
+        let context = context();
+        let mut work = Contacts::new(&mut labels, 1, &context).unwrap();
+        work.remove_all(&context).unwrap();
+        assert!(work.positions_with_contacts(&context).unwrap().is_empty());
+    }
+
+    #[test]
+    fn contacts_of_a_cancelled_run_stay() {
+        let mut labels = blobs(1);
+        let before = labels.clone();
+        let context = context();
+        let mut work = Contacts::new(&mut labels, 1, &context).unwrap();
+        context.cancel_token().cancel();
+        assert!(matches!(work.positions_with_contacts(&context), Err(crate::Error::Cancelled)));
+        assert!(matches!(work.remove_all(&context), Err(crate::Error::Cancelled)));
+        assert!(matches!(remove_contacts(&mut labels, 1, &context), Err(crate::Error::Cancelled)));
+        assert_eq!(labels, before);
     }
 
     #[test]
@@ -393,7 +424,7 @@ mod tests {
         for seed in 0..6u64 {
             let before = blobs(seed);
             let mut after = before.clone();
-            contacts += remove_contacts(&mut after, 1);
+            contacts += remove_contacts(&mut after, 1, &context()).unwrap();
             for label in 1..4 {
                 let ([closed, open], [now, same]) = (euler(&before, label), euler(&after, label));
                 assert_eq!(now, same, "without contacts both readings agree");

@@ -114,10 +114,10 @@ pub fn refine(
     let (distance, components) = report.timed("distance_transform", || {
         rayon::join(
             || distance_to_other_labels(input.image, context),
-            || Components::new(input.image, Connectivity::Vertex, Members::All),
+            || Components::new(input.image, Connectivity::Vertex, Members::All, context),
         )
     });
-    let distance = distance?;
+    let (distance, components) = (distance?, components?);
     let count = |image: u64| LabelCount { image, ..LabelCount::default() };
     let totals = input.image.voxel_counts().into_iter().map(count).collect();
     let field = Field::new(input.image, &distance);
@@ -128,7 +128,7 @@ pub fn refine(
     }
     // Without contacts at corners and edges both readings agree.
     let euler = match input.region_threshold {
-        Some(_) => euler_numbers(input.image).into_iter().map(|[closed, _]| closed).collect(),
+        Some(_) => euler_numbers(input.image, context)?.into_iter().map(|[closed, _]| closed).collect(),
         None => Vec::new(),
     };
     let smooths = options.smoothing_iterations > 0;
@@ -498,7 +498,7 @@ impl Rounds<'_> {
         self.context.check()?;
         let pinched = topology.pinched(&elements.labels);
         let regions = regions_of(&elements.labels, &neighbors, self.context)?;
-        let surplus = self.surplus(&regions);
+        let surplus = self.surplus(&regions)?;
         let mut marked = vec![false; lattice.tets.len()];
         if limit.rounds_left > 0 {
             let mut mark = |e: u32| {
@@ -535,9 +535,14 @@ impl Rounds<'_> {
     }
 
     /// Regions of each label more than the image has, found there once.
-    fn surplus(&mut self, regions: &[(Label, Vec<u32>)]) -> Vec<i64> {
-        let (image, labels) = (self.input.image, self.input.values.len());
-        surplus_of(regions, self.face_components.get_or_insert_with(|| component_counts(image, labels)))
+    fn surplus(&mut self, regions: &[(Label, Vec<u32>)]) -> Result<Vec<i64>> {
+        let in_image = match self.face_components.take() {
+            Some(known) => known,
+            None => component_counts(self.input.image, self.input.values.len(), self.context)?,
+        };
+        let surplus = surplus_of(regions, &in_image);
+        self.face_components = Some(in_image);
+        Ok(surplus)
     }
 
     /// Carves what still pinches; returns neighbours and mismatches afterwards.
@@ -563,7 +568,7 @@ impl Rounds<'_> {
             }
             let joinable = {
                 let regions = regions_of(&elements.labels, &neighbors, context)?;
-                let surplus = self.surplus(&regions);
+                let surplus = self.surplus(&regions)?;
                 let mut joinable = joinable_regions(elements, &regions, surplus);
                 number_by_image(&mut joinable, &regions, lattice, elements, &self.components);
                 joinable

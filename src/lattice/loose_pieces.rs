@@ -84,8 +84,7 @@ pub fn relabel_loose_pieces(
     if pieces.is_empty() {
         return Ok(0);
     }
-    let components = Components::new(image, Connectivity::Face, Members::Foreground);
-    context.check()?;
+    let components = Components::new(image, Connectivity::Face, Members::Foreground, context)?;
     let inside = VoxelsInside { image, components: &components };
     let pieces: Vec<Piece> = pieces.into_iter().map(|(label, tets)| Piece::new(mesh, &inside, label, tets)).collect();
     let mut left = Left::new(mesh, &inside, &pieces, image.label_count(), context)?;

@@ -40,8 +40,7 @@ const CHUNK: usize = 4096;
 /// # Errors
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn find_lost(mesh: &mut CandidateMesh, image: &LabelImage, context: &RunContext) -> Result<()> {
-    let components = Components::new(image, Connectivity::Vertex, Members::Foreground);
-    context.check()?;
+    let components = Components::new(image, Connectivity::Vertex, Members::Foreground, context)?;
     let is_small = |c: u32| components.components()[c as usize].voxels <= LARGEST;
     let [_, nj, nk] = image.grid().size();
     let rows = (0..nk).flat_map(|k| (0..nj).map(move |j| (j, k)));

@@ -61,11 +61,14 @@ pub fn number_by_image(
 }
 
 /// Components of each label in the image through faces: what its mesh may have at most.
-pub fn component_counts(image: &LabelImage, labels: usize) -> Vec<i64> {
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn component_counts(image: &LabelImage, labels: usize, context: &RunContext) -> Result<Vec<i64>> {
     let mut counts = vec![0; labels];
-    let components = Components::new(image, Connectivity::Face, Members::Foreground);
+    let components = Components::new(image, Connectivity::Face, Members::Foreground, context)?;
     components.components().iter().for_each(|c| counts[c.label.index()] += 1);
-    counts
+    Ok(counts)
 }
 
 /// Regions of each label in the mesh minus its components in the image ([`component_counts`]).

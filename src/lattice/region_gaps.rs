@@ -157,7 +157,7 @@ mod tests {
             *label = Label(u16::from(is_in_ball));
         }
         let found = regions_of(&elements.labels, &neighbors, context).unwrap();
-        let surplus = surplus_of(&found, &component_counts(image, 2));
+        let surplus = surplus_of(&found, &component_counts(image, 2, context).unwrap());
         assert_eq!(surplus[1], 1);
         let regions = joinable_regions(&elements, &found, surplus);
         let marked = elements_at_gaps(&lattice, &elements, &neighbors, &regions);

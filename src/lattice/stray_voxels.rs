@@ -103,8 +103,8 @@ mod tests {
         let mut set = ParameterSet::new(PARAMETERS);
         set.set_text(option, value).unwrap();
         let targets = Targets::new(image.values(), &Options::from_parameters(&set).unwrap()).unwrap();
-        let components = Components::new(image, Connectivity::Vertex, Members::All);
         with_lattice(image, 4.0, |mut lattice, context| {
+            let components = Components::new(image, Connectivity::Vertex, Members::All, context).unwrap();
             lattice.close_locally();
             let finest = finest_level(&lattice, image);
             let (mut counts, mut places) = (Vec::new(), Vec::new());

@@ -49,11 +49,11 @@ pub fn tell_topology(mesh: &CandidateMesh, image: &LabelImage, values: &[i32], c
     }
     context.check()?;
     // Without contacts at corners and edges both readings of the image agree.
-    let wanted: Vec<i64> = euler_numbers(image).into_iter().map(|[closed, _]| closed).collect();
+    let wanted: Vec<i64> = euler_numbers(image, context)?.into_iter().map(|[closed, _]| closed).collect();
     tell_euler_numbers(&topology.euler_ranges(labels, &wanted), values, context);
     context.check()?;
     let regions = regions_of(labels, &neighbors, context)?;
-    let surplus = surplus_of(&regions, &component_counts(image, values.len()));
+    let surplus = surplus_of(&regions, &component_counts(image, values.len(), context)?);
     for (value, count) in values.iter().zip(surplus).filter(|(_, count)| *count > 0) {
         let text = format!("the mesh of label {value} has {count} regions more than the image");
         let finding = Finding::new(FindingCode::DisconnectedMesh, Severity::Warning, text);

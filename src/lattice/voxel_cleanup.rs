@@ -37,12 +37,12 @@ pub struct CleanImage<'a> {
 ///
 /// # Errors
 /// [`crate::Error::CapacityExceeded`] for too many regions, [`crate::Error::InvalidArgument`] for an image that
-/// up-sampling makes too large.
+/// up-sampling makes too large; [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn clean<'a>(image: &'a LabelImage, options: &Options, context: &RunContext) -> Result<CleanImage<'a>> {
     let mut report = Report::default();
     let mut clean = Cow::Borrowed(image);
     if options.upsampling > 1 {
-        clean = Cow::Owned(upsample(image, options.upsampling)?);
+        clean = Cow::Owned(upsample(image, options.upsampling, context)?);
     }
     let kinds: &[IsolatedKind] = match options.isolated_voxels {
         IsolatedVoxels::Keep => &[],
@@ -51,17 +51,17 @@ pub fn clean<'a>(image: &'a LabelImage, options: &Options, context: &RunContext)
         IsolatedVoxels::Both => &[IsolatedKind::Background, IsolatedKind::Foreground],
     };
     for kind in kinds {
-        let changed = relabel_isolated(clean.to_mut(), *kind);
+        let changed = relabel_isolated(clean.to_mut(), *kind, context)?;
         tell(&changed, image, "isolated voxels", "cleanup.isolated", &mut report, context);
     }
     if let Some(threshold) = options.image_region_threshold {
-        let changed = remove_small_regions(clean.to_mut(), threshold);
+        let changed = remove_small_regions(clean.to_mut(), threshold, context)?;
         tell(&changed, image, "voxels of small regions", "cleanup.small_regions", &mut report, context);
     }
     context.check()?;
     let before = clean.voxel_counts();
     if options.check_image_topology {
-        let changed = remove_contacts(clean.to_mut(), options.seed);
+        let changed = remove_contacts(clean.to_mut(), options.seed, context)?;
         report.set("cleanup.contacts", changed as f64);
         if changed > 0 {
             let text = format!("{changed} voxels were relabelled to remove contacts at edges and corners");
@@ -78,7 +78,7 @@ pub fn clean<'a>(image: &'a LabelImage, options: &Options, context: &RunContext)
     // Contacts of a label are removed all over it: each of its regions gets the same share back.
     let share = |(before, after): (u64, u64)| before as f64 / after.max(1) as f64;
     let shares: Vec<f64> = before.into_iter().zip(clean.voxel_counts()).map(share).collect();
-    let (regions, originals) = separate_regions(&clean)?;
+    let (regions, originals) = separate_regions(&clean, context)?;
     report.set("cleanup.regions", (originals.len() - 1) as f64);
     let values = originals.iter().map(|l| values[l.index()]).collect();
     let volume = |(count, label): (u64, &Label)| count as f64 * shares[label.index()] * voxel;
