@@ -24,6 +24,7 @@
 //! and reported as findings.
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use crate::context::RunContext;
 use crate::error::{Error, Finding, FindingCode, Result, Severity};
@@ -37,7 +38,7 @@ use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
 use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
 use crate::lattice::image_contacts::ImageContacts;
-use crate::lattice::interface_carving::{Carved, Extent, Pinches, carve, choose_fillings};
+use crate::lattice::interface_carving::{Carved, Extent, FillingRules, Pinches, carve, choose_fillings};
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::mesh_regions::{
     component_counts, fill_unseen_regions, joinable_regions, number_by_image, regions_of, relabel_loose_regions,
@@ -51,9 +52,11 @@ use crate::lattice::red_green::{CHANGED, Elements, RedGreenLattice};
 use crate::lattice::region_gaps::elements_at_gaps;
 use crate::lattice::report::Report;
 use crate::lattice::stray_voxels::mark_stray_voxels;
-use crate::lattice::subdivision_criteria::{Deficit, Targets, finest_level, mark_leaves};
+use crate::lattice::subdivision_criteria::{Deficit, Demands, Targets, finest_level, mark_leaves};
 use crate::lattice::topology_differences::elements_at_differences;
-use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, mismatches, mismatches_after, recounted, voxels_of};
+use crate::lattice::voxel_fidelity::{
+    LabelCount, Mismatch, for_each_voxel, mismatches, mismatches_after, recounted, voxels_of,
+};
 
 /// Rounds of refinement for the sake of topology: a pinch that comes from the image's own shape is gone after two or three
 /// (edges of 4 voxels become half a voxel), one that the lattice makes anew each time never goes. On an atlas of brain lobes the
@@ -136,16 +139,16 @@ pub fn refine(
     let mut rounds = Rounds { input, components, totals, face_components: None, euler, smooths, lost, report, context };
     let elements = rounds.run(&mut lattice)?;
     let lost = rounds.lost;
-    context.check()?;
     report.set("lattice.level", f64::from(lattice.deepest_level()));
     report.set("lattice.spacing", input.spacing);
     let mut cubes = Vec::new();
     if options.mixed_elements || smooths {
         let surface = if options.mixed_elements { SurfaceCount::Counted } else { SurfaceCount::Skipped };
         cubes = report.timed("mixed_elements", || mixed_elements::find_cubes(&lattice, &elements, surface, context))?;
-        context.check()?;
     }
-    let mut mesh = report.timed("compaction", || mixed_elements::compact(&lattice, &elements, &cubes, smooths));
+    context.check()?;
+    let mut mesh =
+        report.timed("compaction", || mixed_elements::compact(&lattice, &elements, &cubes, smooths, context))?;
     mesh.lost = lost;
     // Giving memory back takes the system some time.
     rayon::join(|| drop(elements), || drop(lattice));
@@ -242,8 +245,7 @@ impl Rounds<'_> {
             if !marks_many(&marked) {
                 let by_centroid = elements.labels.clone();
                 let mut neighbors = self.neighbors(lattice, &elements, known)?;
-                self.context.check()?;
-                let relabelled = self.relabel(lattice, &mut elements, &neighbors, |_| false);
+                let relabelled = self.relabel(lattice, &mut elements, &neighbors, |_| false)?;
                 let at_centroid = found;
                 let mut found = self.recount(&at_centroid, &by_centroid, lattice, &elements)?;
                 let after = self.deficit(&found);
@@ -252,18 +254,17 @@ impl Rounds<'_> {
                     if !marked.contains(&true) {
                         // At the finest level: keep the elements that hold voxels of their own label.
                         elements.labels.clone_from(&by_centroid);
-                        self.relabel_within_fidelity(lattice, &mut elements, &neighbors);
+                        self.relabel_within_fidelity(lattice, &mut elements, &neighbors)?;
                         found = self.recount(&at_centroid, &by_centroid, lattice, &elements)?;
                     }
                 }
                 deficit = self.deficit(&found);
-                self.context.check()?;
                 if stray_rounds > 0 && !marks_many(&marked) {
                     let (targets, context) = (self.input.targets, self.context);
-                    let mut unreached =
-                        self.report.timed("marking", || mark_stray_voxels(lattice, &elements, &found, targets, finest));
+                    let mut unreached = self
+                        .report
+                        .timed("marking", || mark_stray_voxels(lattice, &elements, &found, targets, finest, context))?;
                     if stray_rounds == STRAY_ROUNDS {
-                        context.check()?;
                         let missed = self
                             .report
                             .timed("marking", || mark_missed_voxels(lattice, &elements, targets, context))?;
@@ -364,17 +365,11 @@ impl Rounds<'_> {
         found: &[Mismatch],
         deficit: &Deficit,
         finest: u32,
-        is_straight: impl Fn(usize) -> bool + Sync,
+        is_straight: impl Fn(usize) -> bool + Sync + Send,
     ) -> Result<Vec<bool>> {
-        let (targets, context) = (self.input.targets, self.context);
-        // A cancelled run looks at no more leaves; what is marked then is never seen.
-        let is_straight = |leaf: usize| context.is_cancelled() || is_straight(leaf);
-        context.check()?;
-        let marked = self
-            .report
-            .timed("marking", || mark_leaves(lattice, elements, found, deficit, targets, finest, is_straight));
-        context.check()?;
-        Ok(marked)
+        let demands = Demands { deficit, targets: self.input.targets, finest };
+        let context = self.context;
+        self.report.timed("marking", || mark_leaves(lattice, elements, found, &demands, is_straight, context))
     }
 
     fn neighbors(
@@ -386,7 +381,6 @@ impl Rounds<'_> {
         let vertices = lattice.vertices.positions.len();
         let known = known.filter(|known| changes_few(&known.numbers));
         let context = self.context;
-        context.check()?;
         self.report.timed("adjacency", || match known {
             Some(Known { numbers, neighbors }) => neighbors_after(&neighbors, &numbers, &elements.tets, context),
             None => neighbors_of(&elements.tets, vertices, context),
@@ -399,32 +393,30 @@ impl Rounds<'_> {
         elements: &mut Elements,
         neighbors: &[[u32; 4]],
         is_kept: impl Fn(usize) -> bool,
-    ) -> Relabelled {
+    ) -> Result<Relabelled> {
         let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
         let may_take = |labels: &[Label], changed: &[u32], label: Label| {
             changed.iter().all(|e| !is_kept(*e as usize)) && contacts.allow(labels, changed, label)
         };
-        self.report.timed("relabelling", || relabel_for_smoothing(&mut elements.labels, neighbors, may_take))
+        let context = self.context;
+        self.report.timed("relabelling", || relabel_for_smoothing(&mut elements.labels, neighbors, may_take, context))
     }
 
     /// Relabels only elements that hold no voxel centre of their own label.
-    fn relabel_within_fidelity(&mut self, lattice: &RedGreenLattice, elements: &mut Elements, neighbors: &[[u32; 4]]) {
-        use crate::lattice::voxel_fidelity::for_each_voxel;
-        use rayon::prelude::*;
-        let context = self.context;
-        let holds: Vec<bool> = elements
-            .tets
-            .par_iter()
-            .map(|tet| {
-                let mut any = false;
-                // What is left out is never seen: the check after the count fails too.
-                if !context.is_cancelled() {
-                    for_each_voxel(lattice, tet, |_, _| any = true);
-                }
-                any
-            })
-            .collect();
-        self.relabel(lattice, elements, neighbors, |e| holds[e]);
+    fn relabel_within_fidelity(
+        &mut self,
+        lattice: &RedGreenLattice,
+        elements: &mut Elements,
+        neighbors: &[[u32; 4]],
+    ) -> Result<Relabelled> {
+        let holds_any = |tet: &[u32; 4]| {
+            let mut any = false;
+            for_each_voxel(lattice, tet, |_, _| any = true);
+            any
+        };
+        let holds: Vec<bool> = self.context.until_cancelled(elements.tets.par_iter()).map(holds_any).collect();
+        self.context.check()?;
+        self.relabel(lattice, elements, neighbors, |e| holds[e])
     }
 
     /// Relabels pinched elements where that costs neither fidelity nor a component; returns the mismatches then.
@@ -436,11 +428,9 @@ impl Rounds<'_> {
         found: Vec<Mismatch>,
         before: &Deficit,
     ) -> Result<Vec<Mismatch>> {
-        self.context.check()?;
         let vertices = lattice.vertices.positions.len();
         let unchanged = elements.labels.clone();
-        let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices);
-        self.context.check()?;
+        let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices, self.context)?;
         let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
         let voxels_lost = |labels: &[Label], changed: &[u32], label: Label| {
             let of_element = |e: &u32| voxels_of(lattice, &elements.tets[*e as usize], labels[*e as usize]);
@@ -449,13 +439,15 @@ impl Rounds<'_> {
         // Where the changes cost too many voxels all told, those that cost none remain.
         let context = self.context;
         for most_lost in [usize::MAX, 0] {
-            context.check()?;
             let may_lose = |labels: &[Label], changed: &[u32], label: Label| {
                 voxels_lost(labels, changed, label).filter(|lost| *lost <= most_lost)
             };
             let wanted = &self.euler;
             let changed = self.report.timed("topology", || {
-                let euler = (!wanted.is_empty()).then(|| topology.euler_ranges(&elements.labels, wanted));
+                let euler = match wanted.as_slice() {
+                    [] => None,
+                    wanted => Some(topology.euler_ranges(&elements.labels, wanted, context)?),
+                };
                 topology.repair(&mut elements.labels, euler, context, may_lose)
             })?;
             if changed == 0 {
@@ -494,10 +486,10 @@ impl Rounds<'_> {
         }
         found = self.relabel_pinches(lattice, elements, &neighbors, found, before)?;
         found = self.fill_unseen(lattice, elements, &neighbors, found)?;
-        let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
-        self.context.check()?;
-        let pinched = topology.pinched(&elements.labels);
-        let regions = regions_of(&elements.labels, &neighbors, self.context)?;
+        let context = self.context;
+        let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices, context)?;
+        let pinched = topology.pinched(&elements.labels, context)?;
+        let regions = regions_of(&elements.labels, &neighbors, context)?;
         let surplus = self.surplus(&regions)?;
         let mut marked = vec![false; lattice.tets.len()];
         if limit.rounds_left > 0 {
@@ -506,10 +498,10 @@ impl Rounds<'_> {
                 marked[leaf] |= u32::from(lattice.levels[leaf]) < limit.finest;
             };
             topology.elements_around(&pinched).into_iter().for_each(&mut mark);
-            let euler = topology.euler_ranges(&elements.labels, &self.euler);
-            elements_at_differences(lattice, elements, &neighbors, &euler).into_iter().for_each(&mut mark);
+            let euler = topology.euler_ranges(&elements.labels, &self.euler, context)?;
+            elements_at_differences(lattice, elements, &neighbors, &euler, context)?.into_iter().for_each(&mut mark);
             let regions = joinable_regions(elements, &regions, surplus);
-            elements_at_gaps(lattice, elements, &neighbors, &regions).into_iter().for_each(&mut mark);
+            elements_at_gaps(lattice, elements, &neighbors, &regions, context)?.into_iter().for_each(&mut mark);
         }
         if marked.contains(&true) {
             // A few gaps must not refine the whole lattice.
@@ -557,12 +549,8 @@ impl Rounds<'_> {
         let mut to_see: Option<Vec<bool>> = None;
         for round in 1..=CARVING_ROUNDS {
             let context = self.context;
-            context.check()?;
-            // A cancelled run looks at no more vertices; the check below ends it.
-            let is_candidate =
-                |v: u32| !context.is_cancelled() && to_see.as_ref().is_none_or(|to_see| to_see[v as usize]);
-            let pinches = Pinches::among(lattice, elements, &neighbors, is_candidate);
-            context.check()?;
+            let is_candidate = |v: u32| to_see.as_ref().is_none_or(|to_see| to_see[v as usize]);
+            let pinches = Pinches::among(lattice, elements, &neighbors, is_candidate, context)?;
             if pinches.vertices.is_empty() {
                 break;
             }
@@ -570,13 +558,12 @@ impl Rounds<'_> {
                 let regions = regions_of(&elements.labels, &neighbors, context)?;
                 let surplus = self.surplus(&regions)?;
                 let mut joinable = joinable_regions(elements, &regions, surplus);
-                number_by_image(&mut joinable, &regions, lattice, elements, &self.components);
+                number_by_image(&mut joinable, &regions, lattice, elements, &self.components, context)?;
                 joinable
             };
-            context.check()?;
             let extent = if round < CARVING_ROUNDS { Extent::NearLabel } else { Extent::Whole };
-            let fillings = choose_fillings(lattice, elements, &neighbors, &pinches, &joinable, &self.euler, extent);
-            context.check()?;
+            let rules = FillingRules { regions: &joinable, euler: &self.euler, extent };
+            let fillings = choose_fillings(lattice, elements, &neighbors, &pinches, &rules, context)?;
             let Carved { vertices, numbers } = carve(lattice, elements, &fillings);
             context.check()?;
             self.report.add("topology.carved_vertices", vertices as f64);

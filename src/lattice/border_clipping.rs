@@ -241,12 +241,11 @@ impl Clipping {
         }
         let relabels = &self.relabels;
         let is_within = |changed: &[u32]| changed.iter().all(|e| !is_beyond[*e as usize]);
-        let topology = InterfaceTopology::new(&self.tets, &neighbors, self.points.len());
-        context.check()?;
+        let topology = InterfaceTopology::new(&self.tets, &neighbors, self.points.len(), context)?;
         let may_take = |labels: &[Label], changed: &[u32], _: Label| {
             is_within(changed) && changed.iter().all(|e| relabels[*e as usize]) && !is_piece(&topology, labels, changed)
         };
-        relabel_for_smoothing(&mut self.labels, &continued, may_take);
+        relabel_for_smoothing(&mut self.labels, &continued, may_take, context)?;
         let cost = |labels: &[Label], changed: &[u32], to: Label| may_take(labels, changed, to).then_some(0);
         topology.repair(&mut self.labels, None, context, cost)?;
         // What still pinches needs a change farther inside, or of all its elements at once.
@@ -296,8 +295,7 @@ fn unite_at_pinches(
     may_change: &[bool],
     context: &RunContext,
 ) -> Result<()> {
-    let mut pinched = topology.pinched(labels);
-    context.check()?;
+    let mut pinched = topology.pinched(labels, context)?;
     for vertex in pinched.clone() {
         let ball = topology.elements_around(&[vertex]);
         let mut around: Vec<Label> = ball.iter().map(|e| labels[*e as usize]).collect();
@@ -308,7 +306,7 @@ fn unite_at_pinches(
             ball.iter().filter(|e| may_change[**e as usize]).for_each(|e| tried[*e as usize] = label);
             let may_take = |changed: &[u32]| changed.iter().all(|e| may_change[*e as usize]);
             topology.repair(&mut tried, None, context, |_, changed, _| may_take(changed).then_some(0))?;
-            let left = topology.pinched(&tried);
+            let left = topology.pinched(&tried, context)?;
             if left.len() < pinched.len() {
                 (*labels, pinched) = (tried, left);
                 break;

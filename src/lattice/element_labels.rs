@@ -20,6 +20,8 @@ use std::collections::VecDeque;
 
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::face_adjacency::OUTSIDE;
 
@@ -28,6 +30,9 @@ const PENALTY: [i32; 5] = [0, 1, 8, 20, 40];
 
 /// Elements per parallel work item, at least.
 const CHUNK: usize = 1 << 14;
+
+/// Elements tried between two looks at whether the run is cancelled.
+const ELEMENTS_PER_CHECK: usize = 1024;
 
 /// What the relabelling did.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -40,17 +45,23 @@ pub struct Relabelled {
 
 /// Relabels elements so that few have two faces on a surface. `may_take` tells whether elements may take a label, given those
 /// of all.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn relabel_for_smoothing(
     labels: &mut [Label],
     neighbors: &[[u32; 4]],
     may_take: impl Fn(&[Label], &[u32], Label) -> bool,
-) -> Relabelled {
+    context: &RunContext,
+) -> Result<Relabelled> {
     let work = Relabelling { labels, neighbors };
-    let mut queue: VecDeque<u32> = work.bad().into();
+    let mut queue: VecDeque<u32> = work.bad(context)?.into();
     let mut queued = vec![false; neighbors.len()];
     queue.iter().for_each(|e| queued[*e as usize] = true);
-    let mut changes = 0;
+    let (mut changes, mut tried) = (0, 0);
     while let Some(e) = queue.pop_front() {
+        context.check_every(ELEMENTS_PER_CHECK, tried)?;
+        tried += 1;
         queued[e as usize] = false;
         if !work.is_bad(e as usize) {
             continue;
@@ -65,8 +76,8 @@ pub fn relabel_for_smoothing(
             }
         }
     }
-    let remaining = work.bad().len();
-    Relabelled { changes, remaining }
+    let remaining = work.bad(context)?.len();
+    Ok(Relabelled { changes, remaining })
 }
 
 struct Relabelling<'a> {
@@ -90,12 +101,11 @@ impl Relabelling<'_> {
     }
 
     /// All bad elements, increasing.
-    fn bad(&self) -> Vec<u32> {
-        (0..self.neighbors.len() as u32)
-            .into_par_iter()
-            .with_min_len(CHUNK)
-            .filter(|e| self.is_bad(*e as usize))
-            .collect()
+    fn bad(&self, context: &RunContext) -> Result<Vec<u32>> {
+        let elements = (0..self.neighbors.len() as u32).into_par_iter().with_min_len(CHUNK);
+        let bad = context.until_cancelled(elements).filter(|e| self.is_bad(*e as usize)).collect();
+        context.check()?;
+        Ok(bad)
     }
 
     fn penalty(&self, element: usize, label: Label) -> i32 {
@@ -156,7 +166,8 @@ mod tests {
         // Element 0 has label 2 and four neighbours of label 1, which see the outside on no other face here.
         let neighbors = [[1, 2, 3, 4], [0, 2, 3, 4], [0, 1, 3, 4], [0, 1, 2, 4], [0, 1, 2, 3]];
         let mut labels = [2, 1, 1, 1, 1].map(Label);
-        let result = relabel_for_smoothing(&mut labels, &neighbors, |_, _, _| true);
+        let context = RunContext::with_threads(1).unwrap();
+        let result = relabel_for_smoothing(&mut labels, &neighbors, |_, _, _| true, &context).unwrap();
         assert_eq!((labels, result), ([Label(1); 5], Relabelled { changes: 1, remaining: 0 }));
     }
 
@@ -164,7 +175,11 @@ mod tests {
     fn kept_elements_stay() {
         let neighbors = [[1, 2, 3, 4], [0, 2, 3, 4], [0, 1, 3, 4], [0, 1, 2, 4], [0, 1, 2, 3]];
         let mut labels = [2, 1, 1, 1, 1].map(Label);
-        relabel_for_smoothing(&mut labels, &neighbors, |_, _, _| false);
+        let context = RunContext::with_threads(1).unwrap();
+        relabel_for_smoothing(&mut labels, &neighbors, |_, _, _| false, &context).unwrap();
         assert_eq!(labels[0], Label(2));
+        context.cancel_token().cancel();
+        let cancelled = relabel_for_smoothing(&mut labels, &neighbors, |_, _, _| true, &context);
+        assert!(matches!(cancelled, Err(crate::Error::Cancelled)) && labels[0] == Label(2));
     }
 }

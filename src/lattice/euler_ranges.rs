@@ -16,6 +16,8 @@
 
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::mesh::numbering::TET_FACES;
@@ -73,27 +75,29 @@ impl EulerRanges {
 
 impl InterfaceTopology<'_> {
     /// The Euler numbers of the labels, whose image has those `wanted`.
-    pub fn euler_ranges(&self, labels: &[Label], wanted: &[i64]) -> EulerRanges {
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+    pub fn euler_ranges(&self, labels: &[Label], wanted: &[i64], context: &RunContext) -> Result<EulerRanges> {
         let none = || vec![[0i64; 2]; wanted.len()];
         let add = |mut sums: Vec<EulerNumbers>, other: Vec<EulerNumbers>| {
             sums.iter_mut().zip(other).for_each(|(s, o)| *s = [s[0] + o[0], s[1] + o[1]]);
             sums
         };
         let of_vertex = |mut sums: Vec<EulerNumbers>, v: u32| {
-            let around = self.labels_around(v, labels);
-            if around.len() > 1 {
-                for label in around.into_iter().filter(|l| !l.is_background()) {
-                    let [closed, open] = self.euler_at(v, label, labels);
-                    let sum = &mut sums[label.index()];
-                    *sum = [sum[0] + closed, sum[1] + open];
-                }
+            for label in self.labels_around(v, labels).into_iter().filter(|l| !l.is_background()) {
+                let [closed, open] = self.euler_at(v, label, labels);
+                let sum = &mut sums[label.index()];
+                *sum = [sum[0] + closed, sum[1] + open];
             }
             sums
         };
         let vertices = (0..self.vertex_count() as u32).into_par_iter().with_min_len(CHUNK);
+        let mixed = context.until_cancelled(vertices).filter(|v| self.is_mixed(*v, labels));
         // Whole numbers: the sums do not depend on the order.
-        let now = vertices.fold(none, of_vertex).reduce(none, add);
-        EulerRanges { now, wanted: wanted.iter().map(|w| TWELFTHS * w).collect() }
+        let now = mixed.fold(none, of_vertex).reduce(none, add);
+        context.check()?;
+        Ok(EulerRanges { now, wanted: wanted.iter().map(|w| TWELFTHS * w).collect() })
     }
 
     /// What a vertex adds to the Euler numbers of a label: half of each edge there, a third of each face, a quarter of each
@@ -174,7 +178,6 @@ impl InterfaceTopology<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::context::RunContext;
     use crate::lattice::face_adjacency::neighbors_of;
     use crate::lattice::test_images::{voxel_image, with_lattice};
     use glam::DVec3;
@@ -191,10 +194,11 @@ mod tests {
             let mut elements = lattice.elements(context).unwrap();
             let vertices = lattice.vertices.positions.len();
             let neighbors = neighbors_of(&elements.tets, vertices, context).unwrap();
-            let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
-            let mut ranges = topology.euler_ranges(&elements.labels, &[0, 0, 1]);
+            let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices, context).unwrap();
+            let mut ranges = topology.euler_ranges(&elements.labels, &[0, 0, 1], context).unwrap();
             assert!([1, 2].iter().all(|l| ranges.out_of_reach(Label(*l)).is_none()), "{ranges:?}");
-            assert!(topology.euler_ranges(&elements.labels, &[0, 0, 2]).out_of_reach(Label(2)).is_some());
+            let off = topology.euler_ranges(&elements.labels, &[0, 0, 2], context).unwrap();
+            assert!(off.out_of_reach(Label(2)).is_some());
             // Changes of any elements, one after another.
             for step in 0..60 {
                 let e = (step * 7919) % elements.tets.len();
@@ -203,17 +207,18 @@ mod tests {
                 elements.labels[e] = label;
                 ranges.add(&changes);
             }
-            assert_eq!(ranges.now, topology.euler_ranges(&elements.labels, &[0, 0, 1]).now);
+            assert_eq!(ranges.now, topology.euler_ranges(&elements.labels, &[0, 0, 1], context).unwrap().now);
         });
     }
 
     #[test]
     fn two_tets_that_touch_at_a_vertex_are_one_body_closed_and_two_open() {
         let tets = [[0, 1, 2, 3], [0, 4, 5, 6]];
-        let neighbors = neighbors_of(&tets, 7, &RunContext::with_threads(1).unwrap()).unwrap();
-        let topology = InterfaceTopology::new(&tets, &neighbors, 7);
+        let context = RunContext::with_threads(1).unwrap();
+        let neighbors = neighbors_of(&tets, 7, &context).unwrap();
+        let topology = InterfaceTopology::new(&tets, &neighbors, 7, &context).unwrap();
         let labels = [Label(1); 2];
-        let ranges = topology.euler_ranges(&labels, &[0, 1]);
+        let ranges = topology.euler_ranges(&labels, &[0, 1], &context).unwrap();
         assert_eq!(ranges.now[1], [TWELFTHS, 2 * TWELFTHS]);
         assert_eq!(ranges.distance_after(&topology.euler_changes_by_filling(&[0], Label(1), &labels)), 0);
         assert_eq!(ranges.distance_after(&topology.euler_changes_by_filling(&[0], Label(0), &labels)), TWELFTHS);

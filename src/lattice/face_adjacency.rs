@@ -193,6 +193,7 @@ pub fn neighbors_after(
     for (tet, number) in (0..).zip(numbers).filter(|(_, number)| **number != OUTSIDE) {
         renumbered[*number as usize] = tet;
     }
+    context.check()?;
     let behind = |number: &u32| match *number {
         OUTSIDE => [OUTSIDE; 4],
         number => before[number as usize].map(|n| if n == OUTSIDE { OUTSIDE } else { renumbered[n as usize] }),

@@ -19,6 +19,8 @@
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::bcc_lattice::{Field, floor_of};
 use crate::lattice::face_adjacency::OUTSIDE;
@@ -32,6 +34,9 @@ const REACH: i32 = 2;
 
 /// Elements per parallel work item.
 const CHUNK: usize = 4096;
+
+/// Faces between labels that the image keeps apart, between two looks at whether the run is cancelled.
+const FACES_PER_CHECK: usize = 1024;
 
 /// Elements whose contacts are compared with those of the image.
 pub struct ImageContacts<'a> {
@@ -65,12 +70,16 @@ impl<'a> ImageContacts<'a> {
     }
 
     /// The vertices of the breaches at some vertices, each once, in order.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
     pub fn breached(
         &self,
         labels: &[Label],
         topology: &InterfaceTopology,
-        is_candidate: impl Fn(u32) -> bool + Sync,
-    ) -> Vec<u32> {
+        is_candidate: impl Fn(u32) -> bool + Sync + Send,
+        context: &RunContext,
+    ) -> Result<Vec<u32>> {
         let sides = |e: u32, face: usize| {
             let near = self.neighbors[e as usize][face];
             (near != OUTSIDE).then(|| [labels[e as usize], labels[near as usize]])
@@ -78,11 +87,14 @@ impl<'a> ImageContacts<'a> {
         let touch = |e: u32, face: usize, pair: [Label; 2]| touch_near(&self.lattice.field, self.center(e, face), pair);
         let is_apart = |e: u32, face: usize| sides(e, face).is_some_and(|s| s[0] < s[1] && !touch(e, face, s));
         let is_near = |e: &u32| self.tets[*e as usize].iter().any(|v| is_candidate(*v));
-        let elements = (0..self.tets.len() as u32).into_par_iter().with_min_len(CHUNK).filter(is_near);
+        let elements = (0..self.tets.len() as u32).into_par_iter().with_min_len(CHUNK);
+        let elements = context.until_cancelled(elements).filter(is_near);
         let apart: Vec<(u32, usize)> =
             elements.flat_map_iter(|e| (0..4).filter(move |f| is_apart(e, *f)).map(move |f| (e, f))).collect();
+        context.check()?;
         let mut vertices = Vec::new();
-        for (e, face) in apart {
+        for (at, (e, face)) in apart.into_iter().enumerate() {
+            context.check_every(FACES_PER_CHECK, at)?;
             let corners = TET_FACES[face].map(|v| self.tets[e as usize][v]);
             let Some([one, other]) = sides(e, face) else { continue };
             let is_wall = |label: &Label| {
@@ -100,7 +112,7 @@ impl<'a> ImageContacts<'a> {
         }
         vertices.sort_unstable();
         vertices.dedup();
-        vertices
+        Ok(vertices)
     }
 
     /// Whether the image keeps a label apart from that of an element, near its centroid.
@@ -185,8 +197,8 @@ mod tests {
             let vertices = lattice.vertices.positions.len();
             let neighbors = neighbors_of(&elements.tets, vertices, context).unwrap();
             let contacts = ImageContacts::new(&lattice, &elements.tets, &neighbors);
-            let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
-            assert!(contacts.breached(&elements.labels, &topology, |_| true).is_empty());
+            let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices, context).unwrap();
+            assert!(contacts.breached(&elements.labels, &topology, |_| true, context).unwrap().is_empty());
             // The elements of the wall on one side of a vertex of it go to label 3.
             let place = |v: u32| lattice.frame.local(lattice.vertices.positions[v as usize]);
             let off = |v: &u32| place(*v).distance(DVec3::new(4.0, 4.5, 4.5));
@@ -197,11 +209,14 @@ mod tests {
                     labels[e as usize] = Label(3);
                 }
             }
-            let breached = contacts.breached(&labels, &topology, |_| true);
+            let breached = contacts.breached(&labels, &topology, |_| true, context).unwrap();
             assert!(
                 !breached.is_empty() && breached.iter().all(|v| place(*v).distance(place(middle)) < 1.8),
                 "{breached:?}"
             );
+            context.cancel_token().cancel();
+            let cancelled = contacts.breached(&labels, &topology, |_| true, context);
+            assert!(matches!(cancelled, Err(crate::Error::Cancelled)));
             // The wall is what may stand between.
             let around = topology.elements_around(&breached);
             let apart = |label: u16| around.iter().filter(|e| contacts.keeps_apart(**e, &labels, Label(label))).count();
@@ -221,8 +236,8 @@ mod tests {
             let label = |e: usize| elements.labels[e].0;
             let is_diagonal = |e: usize, n: &u32| *n != OUTSIDE && label(e) + label(*n as usize) == 5;
             assert!((0..neighbors.len()).any(|e| neighbors[e].iter().any(|n| is_diagonal(e, n))));
-            let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
-            assert!(contacts.breached(&elements.labels, &topology, |_| true).is_empty());
+            let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices, context).unwrap();
+            assert!(contacts.breached(&elements.labels, &topology, |_| true, context).unwrap().is_empty());
         });
     }
 

@@ -42,11 +42,16 @@ use glam::IVec3;
 
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::euler_ranges::EulerRanges;
 use crate::lattice::image_contacts::ImageContacts;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::red_green::{CHANGED, Elements, RedGreenLattice};
+
+/// Groups of pinched vertices between two looks at whether the run is cancelled.
+const GROUPS_PER_CHECK: usize = 64;
 
 /// What is known of the pieces of labels, to choose what may be joined.
 pub struct Regions {
@@ -63,6 +68,17 @@ pub enum Extent {
     NearLabel,
     /// All.
     Whole,
+}
+
+/// What fillings have to keep to.
+#[derive(Clone, Copy)]
+pub struct FillingRules<'a> {
+    /// The pieces of labels, some of which may be joined.
+    pub regions: &'a Regions,
+    /// The Euler numbers that labels are to have, or none.
+    pub euler: &'a [i64],
+    /// How much of a group is filled.
+    pub extent: Extent,
 }
 
 /// What carving has done.
@@ -91,16 +107,20 @@ impl Pinches {
     }
 
     /// Those among some vertices.
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
     pub fn among(
         lattice: &RedGreenLattice,
         elements: &Elements,
         neighbors: &[[u32; 4]],
         is_candidate: impl Fn(u32) -> bool + Sync,
-    ) -> Self {
-        let topology = InterfaceTopology::new(&elements.tets, neighbors, lattice.vertices.positions.len());
+        context: &RunContext,
+    ) -> Result<Self> {
+        let topology = InterfaceTopology::new(&elements.tets, neighbors, lattice.vertices.positions.len(), context)?;
         let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
-        let breached = contacts.breached(&elements.labels, &topology, &is_candidate);
-        Self::new(topology.pinched_among(&elements.labels, &is_candidate), breached)
+        let breached = contacts.breached(&elements.labels, &topology, &is_candidate, context)?;
+        Ok(Self::new(topology.pinched_among(&elements.labels, &is_candidate, context)?, breached))
     }
 
     /// For each vertex whether it may have to be carved after a carving of these: what had to be before, and the vertices of the
@@ -129,24 +149,30 @@ pub fn carve(lattice: &mut RedGreenLattice, elements: &mut Elements, fillings: &
     Carved { vertices: treated, numbers }
 }
 
-/// What the surroundings of pinched vertices are to be filled with. `euler` are the Euler numbers that labels are to have, or none.
+/// What the surroundings of pinched vertices are to be filled with.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn choose_fillings(
     lattice: &RedGreenLattice,
     elements: &Elements,
     neighbors: &[[u32; 4]],
     pinches: &Pinches,
-    regions: &Regions,
-    euler: &[i64],
-    extent: Extent,
-) -> Fillings {
+    rules: &FillingRules,
+    context: &RunContext,
+) -> Result<Fillings> {
     let vertices = lattice.vertices.positions.len();
-    let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices);
-    let mut euler = (!euler.is_empty()).then(|| topology.euler_ranges(&elements.labels, euler));
+    let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices, context)?;
+    let mut euler = match rules.euler {
+        [] => None,
+        wanted => Some(topology.euler_ranges(&elements.labels, wanted, context)?),
+    };
     let mut group_of = vec![u32::MAX; vertices];
     let mut labels = Vec::new();
     let has = |v: u32, label: Label| topology.has_label(v, label, &elements.labels);
     let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
-    for mut group in groups_of(&topology, &pinches.vertices, &elements.tets) {
+    for (at, mut group) in groups_of(&topology, &pinches.vertices, &elements.tets).into_iter().enumerate() {
+        context.check_every(GROUPS_PER_CHECK, at)?;
         let around = topology.elements_around(&group);
         let can_halve = |times: u32| around.iter().all(|e| has_middles(lattice, &elements.tets[*e as usize], times));
         if !can_halve(1) {
@@ -157,9 +183,9 @@ pub fn choose_fillings(
             let count = || around.iter().filter(|e| contacts.keeps_apart(**e, &elements.labels, label)).count();
             if is_breached { count() } else { 0 }
         };
-        let label = label_for(&topology, &group, &elements.labels, regions, euler.as_ref(), opened);
+        let label = label_for(&topology, &group, &elements.labels, rules.regions, euler.as_ref(), opened);
         let Some(label) = label else { continue };
-        if extent == Extent::NearLabel && can_halve(2) && group.iter().any(|v| has(*v, label)) {
+        if rules.extent == Extent::NearLabel && can_halve(2) && group.iter().any(|v| has(*v, label)) {
             group.retain(|v| has(*v, label));
         }
         if let Some(euler) = &mut euler {
@@ -168,7 +194,7 @@ pub fn choose_fillings(
         group.iter().for_each(|v| group_of[*v as usize] = labels.len() as u32);
         labels.push(label);
     }
-    Fillings { group_of, labels }
+    Ok(Fillings { group_of, labels })
 }
 
 /// Pinched vertices connected through edges.
@@ -340,7 +366,6 @@ fn oriented(lattice: &RedGreenLattice, tet: [u32; 4]) -> [u32; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::context::RunContext;
     use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
     use glam::DVec3;
 
@@ -361,8 +386,9 @@ mod tests {
                 labels.push(Label(if (i, j, k) == (0, 0, 0) { 1 } else { 2 + k as u16 }));
             }
         }
-        let neighbors = neighbors_of(&tets, 63, &RunContext::with_threads(1).unwrap()).unwrap();
-        let topology = InterfaceTopology::new(&tets, &neighbors, 63);
+        let context = RunContext::with_threads(1).unwrap();
+        let neighbors = neighbors_of(&tets, 63, &context).unwrap();
+        let topology = InterfaceTopology::new(&tets, &neighbors, 63, &context).unwrap();
         let regions = Regions { of_element: labels.iter().map(|l| u32::from(l.0)).collect(), surplus: vec![0; 4] };
         let chosen = |group: &[u32]| label_for(&topology, group, &labels, &regions, None, |_| 0);
         let chain: Vec<u32> = (1..6).map(|i| number(i, 1, 1)).collect();
@@ -379,7 +405,7 @@ mod tests {
                 let mut elements = lattice.elements(context).unwrap();
                 let vertices = lattice.vertices.positions.len();
                 let neighbors = neighbors_of(&elements.tets, vertices, context).unwrap();
-                let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices);
+                let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices, context).unwrap();
                 // A line of vertices through both labels; nothing pinches there, which carving does not ask for.
                 let place = |v: u32| lattice.frame.local(lattice.vertices.positions[v as usize]);
                 let inner: Vec<u32> =
@@ -400,7 +426,8 @@ mod tests {
                 };
                 let near = has(1).max(has(2));
                 let pinches = Pinches::new(line.clone(), Vec::new());
-                let fillings = choose_fillings(&lattice, &elements, &neighbors, &pinches, &regions, &[], extent);
+                let rules = FillingRules { regions: &regions, euler: &[], extent };
+                let fillings = choose_fillings(&lattice, &elements, &neighbors, &pinches, &rules, context).unwrap();
                 let carved = carve(&mut lattice, &mut elements, &fillings);
                 let after = neighbors_after(&neighbors, &carved.numbers, &elements.tets, context).unwrap();
                 assert_eq!(after, neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap());
@@ -430,18 +457,24 @@ mod tests {
             let tets = elements.labels.iter_mut().zip(&elements.tets);
             tets.filter(|(label, tet)| label.0 == 2 && is_at_hole(tet)).for_each(|(label, _)| *label = Label(1));
             let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap();
-            let first = Pinches::among(&lattice, &elements, &neighbors, |_| true);
+            let first = Pinches::among(&lattice, &elements, &neighbors, |_| true, context).unwrap();
             let counts = [first.breached.len(), first.vertices.len(), lattice.vertices.positions.len()];
             assert!(counts[0] > 0 && counts[1] > counts[0] && counts[2] > counts[1], "{counts:?}");
             let regions = Regions { of_element: vec![0; elements.tets.len()], surplus: vec![9; 3] };
-            let fillings = choose_fillings(&lattice, &elements, &neighbors, &first, &regions, &[], Extent::NearLabel);
+            let rules = FillingRules { regions: &regions, euler: &[], extent: Extent::NearLabel };
+            let fillings = choose_fillings(&lattice, &elements, &neighbors, &first, &rules, context).unwrap();
             let carved = carve(&mut lattice, &mut elements, &fillings);
             let to_see = first.to_see_after(&lattice, &elements, &carved.numbers);
             let neighbors = neighbors_after(&neighbors, &carved.numbers, &elements.tets, context).unwrap();
-            let all = Pinches::among(&lattice, &elements, &neighbors, |_| true);
-            let near = Pinches::among(&lattice, &elements, &neighbors, |v| to_see[v as usize]);
+            let all = Pinches::among(&lattice, &elements, &neighbors, |_| true, context).unwrap();
+            let near = Pinches::among(&lattice, &elements, &neighbors, |v| to_see[v as usize], context).unwrap();
             assert!(carved.vertices > 0 && to_see.contains(&false) && !all.vertices.is_empty());
             assert_eq!((near.vertices, near.breached), (all.vertices, all.breached));
+            context.cancel_token().cancel();
+            let found = Pinches::among(&lattice, &elements, &neighbors, |_| true, context);
+            assert!(matches!(found, Err(crate::Error::Cancelled)));
+            let fillings = choose_fillings(&lattice, &elements, &neighbors, &first, &rules, context);
+            assert!(matches!(fillings, Err(crate::Error::Cancelled)));
         });
     }
 

@@ -43,6 +43,12 @@ pub struct InterfaceTopology<'a> {
 /// Most elements of a ball whose groups are counted in one word of marks.
 const MOST_COUNTED: usize = u128::BITS as usize;
 
+/// Elements between two looks at whether the run is cancelled while balls are prepared.
+const ELEMENTS_PER_CHECK: usize = 1 << 16;
+
+/// Vertices per parallel work item.
+const CHUNK: usize = 1024;
+
 /// Pinched vertices between two looks at whether the run is cancelled: each tries all labels around it.
 const VERTICES_PER_CHECK: usize = 64;
 
@@ -72,27 +78,40 @@ struct Change {
 
 impl<'a> InterfaceTopology<'a> {
     /// Prepares the balls of all vertices.
-    pub fn new(tets: &'a [[u32; 4]], neighbors: &'a [[u32; 4]], vertex_count: usize) -> Self {
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+    pub fn new(
+        tets: &'a [[u32; 4]],
+        neighbors: &'a [[u32; 4]],
+        vertex_count: usize,
+        context: &RunContext,
+    ) -> Result<Self> {
         let mut starts = vec![0u32; vertex_count + 1];
-        tets.iter().flatten().for_each(|v| starts[*v as usize + 1] += 1);
+        for (e, tet) in tets.iter().enumerate() {
+            context.check_every(ELEMENTS_PER_CHECK, e)?;
+            tet.iter().for_each(|v| starts[*v as usize + 1] += 1);
+        }
         for v in 0..vertex_count {
             starts[v + 1] += starts[v];
         }
         let mut next = starts.clone();
         let mut balls = vec![0u32; 4 * tets.len()];
         for (e, tet) in tets.iter().enumerate() {
+            context.check_every(ELEMENTS_PER_CHECK, e)?;
             for v in tet {
                 balls[next[*v as usize] as usize] = e as u32;
                 next[*v as usize] += 1;
             }
         }
         let mut open = vec![false; vertex_count];
+        context.check()?;
         for (tet, row) in tets.iter().zip(neighbors).filter(|(_, row)| row.contains(&OUTSIDE)) {
             for (face, _) in TET_FACES.iter().zip(row).filter(|(_, near)| **near == OUTSIDE) {
                 face.iter().for_each(|v| open[tet[*v] as usize] = true);
             }
         }
-        Self { tets, neighbors, starts, balls, open }
+        Ok(Self { tets, neighbors, starts, balls, open })
     }
 
     /// Number of vertices.
@@ -106,14 +125,28 @@ impl<'a> InterfaceTopology<'a> {
     }
 
     /// Vertices whose surfaces pinch, increasing.
-    pub fn pinched(&self, labels: &[Label]) -> Vec<u32> {
-        self.pinched_among(labels, |_| true)
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+    pub fn pinched(&self, labels: &[Label], context: &RunContext) -> Result<Vec<u32>> {
+        self.pinched_among(labels, |_| true, context)
     }
 
     /// Those of some vertices whose surfaces pinch, increasing.
-    pub fn pinched_among(&self, labels: &[Label], is_candidate: impl Fn(u32) -> bool + Sync) -> Vec<u32> {
-        let vertices = (0..self.vertex_count() as u32).into_par_iter();
-        vertices.filter(|v| is_candidate(*v) && self.excess(*v, labels) > 0).collect()
+    ///
+    /// # Errors
+    /// As [`pinched`](Self::pinched).
+    pub fn pinched_among(
+        &self,
+        labels: &[Label],
+        is_candidate: impl Fn(u32) -> bool + Sync + Send,
+        context: &RunContext,
+    ) -> Result<Vec<u32>> {
+        let vertices = (0..self.vertex_count() as u32).into_par_iter().with_min_len(CHUNK);
+        let vertices = context.until_cancelled(vertices);
+        let pinched = vertices.filter(|v| is_candidate(*v) && self.excess(*v, labels) > 0).collect();
+        context.check()?;
+        Ok(pinched)
     }
 
     /// The elements around the given vertices.
@@ -133,6 +166,13 @@ impl<'a> InterfaceTopology<'a> {
         around.sort_unstable();
         around.dedup();
         around
+    }
+
+    /// Whether elements of two labels meet at a vertex; where its ball is open, the background is one.
+    pub(super) fn is_mixed(&self, vertex: u32, labels: &[Label]) -> bool {
+        let mut around = self.ball(vertex).iter().map(|e| labels[*e as usize]);
+        let first = if self.is_open(vertex) { Some(Label::BACKGROUND) } else { around.next() };
+        around.any(|label| Some(label) != first)
     }
 
     /// Whether an element at the vertex has the label.
@@ -315,7 +355,7 @@ impl<'a> InterfaceTopology<'a> {
         context: &RunContext,
         voxels_lost: impl Fn(&[Label], &[u32], Label) -> Option<usize>,
     ) -> Result<usize> {
-        let mut queue: VecDeque<u32> = self.pinched_among(labels, |_| !context.is_cancelled()).into();
+        let mut queue: VecDeque<u32> = self.pinched(labels, context)?.into();
         let (mut changed, mut seen) = (0, 0);
         while let Some(vertex) = queue.pop_front() {
             context.check_every(VERTICES_PER_CHECK, seen)?;
@@ -332,8 +372,6 @@ impl<'a> InterfaceTopology<'a> {
             }
             queue.extend(concerned);
         }
-        // The queue of a cancelled run may be empty.
-        context.check()?;
         Ok(changed)
     }
 
@@ -449,8 +487,9 @@ mod tests {
         // The eight tets of an octahedron around vertex 0; 1 to 3 and 4 to 6 are opposite to each other.
         let corner = |octant: u32, axis: u32| 1 + axis + 3 * (octant >> axis & 1);
         let tets: Vec<[u32; 4]> = (0..8).map(|o| [0, corner(o, 0), corner(o, 1), corner(o, 2)]).collect();
-        let neighbors = neighbors_of(&tets, 7, &RunContext::with_threads(1).unwrap()).unwrap();
-        let topology = InterfaceTopology::new(&tets, &neighbors, 7);
+        let context = RunContext::with_threads(1).unwrap();
+        let neighbors = neighbors_of(&tets, 7, &context).unwrap();
+        let topology = InterfaceTopology::new(&tets, &neighbors, 7, &context).unwrap();
         assert!(!topology.is_open(0) && (1..7).all(|v| topology.is_open(v)));
         let mut pinched = 0;
         for pattern in 0u32..3u32.pow(8) {
@@ -458,10 +497,29 @@ mod tests {
                 let labels: Vec<Label> = (0..8).map(|o| Label(names[(pattern / 3u32.pow(o) % 3) as usize])).collect();
                 assert_eq!(topology.excess(0, &labels), topology.excess_of_all(0, &labels), "{labels:?}");
                 pinched += usize::from(topology.excess(0, &labels) > 0);
+                let is_mixed =
+                    |v: &u32| topology.is_mixed(*v, &labels) == (topology.labels_around(*v, &labels).len() > 1);
+                assert!((0..7).all(|v| is_mixed(&v)), "{labels:?}");
             }
         }
         // Two opposite corners apart, for one.
         assert!(pinched > 0 && topology.excess(0, &[1, 0, 0, 0, 0, 0, 0, 1].map(Label)) == 1);
+    }
+
+    #[test]
+    fn a_cancelled_run_looks_for_no_pinches() {
+        let tets = [[0, 1, 2, 3], [0, 4, 5, 6]];
+        let context = RunContext::with_threads(1).unwrap();
+        let neighbors = neighbors_of(&tets, 7, &context).unwrap();
+        let topology = InterfaceTopology::new(&tets, &neighbors, 7, &context).unwrap();
+        let mut labels = [Label(1); 2];
+        assert_eq!(topology.pinched(&labels, &context).unwrap(), [0]);
+        context.cancel_token().cancel();
+        let cancelled = |result: Result<()>| matches!(result, Err(crate::Error::Cancelled));
+        assert!(cancelled(InterfaceTopology::new(&tets, &neighbors, 7, &context).map(|_| ())));
+        assert!(cancelled(topology.pinched(&labels, &context).map(|_| ())));
+        assert!(cancelled(topology.euler_ranges(&labels, &[0, 1], &context).map(|_| ())));
+        assert!(cancelled(topology.repair(&mut labels, None, &context, |_, _, _| Some(0)).map(|_| ())));
     }
 
     #[test]
@@ -480,8 +538,9 @@ mod tests {
                 tets.push(tet);
             }
         }
-        let neighbors = neighbors_of(&tets, 100, &RunContext::with_threads(1).unwrap()).unwrap();
-        let topology = InterfaceTopology::new(&tets, &neighbors, 100);
+        let context = RunContext::with_threads(1).unwrap();
+        let neighbors = neighbors_of(&tets, 100, &context).unwrap();
+        let topology = InterfaceTopology::new(&tets, &neighbors, 100, &context).unwrap();
         let mut labels: Vec<Label> = (0..tets.len()).map(|e| Label((e * e % 7 % 3) as u16)).collect();
         let mut gains = [0; 2];
         for vertex in [number([2, 2, 1]), number([1, 2, 2]), number([0, 0, 0])] {

@@ -342,7 +342,7 @@ fn relabel(mesh: &mut CandidateMesh, loose: &[Vec<u32>], context: &RunContext) -
     let tets: Vec<[u32; 4]> = numbers.iter().map(|t| work.tets[*t as usize]).collect();
     let mut labels: Vec<Label> = numbers.iter().map(|t| work.labels[*t as usize]).collect();
     let neighbors = neighbors_of(&tets, work.points.len(), context)?;
-    let topology = InterfaceTopology::new(&tets, &neighbors, work.points.len());
+    let topology = InterfaceTopology::new(&tets, &neighbors, work.points.len(), context)?;
     for piece in loose {
         let piece: Vec<u32> = piece.iter().map(|t| numbers.partition_point(|n| n < t) as u32).collect();
         let own = labels[piece[0] as usize];

@@ -36,13 +36,17 @@ pub fn joinable_regions(elements: &Elements, regions: &[(Label, Vec<u32>)], surp
 ///
 /// A region goes by the first of its elements that holds the centre of a voxel of its own; one without keeps a number of its
 /// own.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn number_by_image(
     regions: &mut Regions,
     members: &[(Label, Vec<u32>)],
     lattice: &RedGreenLattice,
     elements: &Elements,
     components: &Components,
-) {
+    context: &RunContext,
+) -> Result<()> {
     let component_of = |element: u32, own: Label| {
         let mut component = None;
         for_each_voxel(lattice, &elements.tets[element as usize], |voxel, label| {
@@ -56,8 +60,10 @@ pub fn number_by_image(
     let number_of = |(r, (own, region)): (usize, &(Label, Vec<u32>))| {
         region.iter().find_map(|e| component_of(*e, *own)).unwrap_or(count + r as u32)
     };
-    let numbers: Vec<u32> = members.par_iter().enumerate().map(number_of).collect();
+    let numbers: Vec<u32> = context.until_cancelled(members.par_iter().enumerate()).map(number_of).collect();
+    context.check()?;
     regions.of_element.par_iter_mut().filter(|r| **r != u32::MAX).for_each(|r| *r = numbers[*r as usize]);
+    Ok(())
 }
 
 /// Components of each label in the image through faces: what its mesh may have at most.
@@ -138,14 +144,18 @@ pub fn fill_unseen_regions(
     // The background around the lattice has all its voxels beyond it.
     let is_outside =
         |e: &u32| elements.labels[*e as usize].is_background() && neighbors[*e as usize].contains(&OUTSIDE);
-    let mut unseen = regions_where(&elements.labels, neighbors, context, |_| true)?;
-    unseen.retain(|(_, region)| !region.iter().any(|e| is_seen(e) || is_outside(e)));
+    let regions = regions_where(&elements.labels, neighbors, context, |_| true)?;
+    let unseen = context.until_cancelled(regions);
+    let unseen = unseen.filter(|(_, region)| !region.iter().any(|e| is_seen(e) || is_outside(e)));
+    let unseen: Vec<(Label, Vec<u32>)> = unseen.collect();
+    context.check()?;
     if unseen.is_empty() {
         return Ok(0);
     }
-    let topology = InterfaceTopology::new(&elements.tets, neighbors, lattice.vertices.positions.len());
+    let topology = InterfaceTopology::new(&elements.tets, neighbors, lattice.vertices.positions.len(), context)?;
     let mut changed = 0;
     for (own, region) in unseen {
+        context.check()?;
         let mut around: Vec<Label> =
             region.iter().flat_map(|e| neighbors[*e as usize]).map(|n| label_of(&elements.labels, n)).collect();
         around.retain(|label| *label != own);
@@ -183,7 +193,15 @@ pub fn relabel_loose_regions(
         (b - a).cross(c - a).dot(d - a)
     };
     let regions = regions_of(&elements.labels, neighbors, context)?;
-    let volumes: Vec<f64> = regions.iter().map(|(_, region)| region.iter().map(volume).sum()).collect();
+    let mut volumes: Vec<f64> = Vec::with_capacity(regions.len());
+    for (_, region) in &regions {
+        let mut sum = 0.0;
+        for part in region.chunks(ELEMENTS_PER_CHECK) {
+            context.check()?;
+            part.iter().for_each(|e| sum += volume(e));
+        }
+        volumes.push(sum);
+    }
     let (mut totals, mut largest) = (vec![0.0; labels], vec![(0.0, 0); labels]);
     for (r, ((label, _), volume)) in regions.iter().zip(&volumes).enumerate() {
         totals[label.index()] += volume;

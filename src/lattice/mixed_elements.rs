@@ -93,7 +93,9 @@ pub fn find_cubes(
     surface: SurfaceCount,
     context: &RunContext,
 ) -> Result<Vec<MergeableCube>> {
+    context.check()?;
     let around = tets_around_vertices(lattice, elements);
+    context.check()?;
     let mut is_center: Vec<bool> = around.iter().map(|a| a.count == TETS_AROUND_VERTEX).collect();
     keep_one_lattice_per_level(lattice, &around, &mut is_center);
     let triangles = match surface {
@@ -185,13 +187,18 @@ fn keep_one_lattice_per_level(lattice: &RedGreenLattice, around: &[Around], is_c
 
 /// All labelled elements as a candidate mesh, with the cubes that can be merged later; vertices are renumbered in the
 /// order of first use. A mesh that is to be smoothed gets a scaffold.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn compact(
     lattice: &RedGreenLattice,
     elements: &Elements,
     cubes: &[MergeableCube],
     with_scaffold: bool,
-) -> CandidateMesh {
+    context: &RunContext,
+) -> Result<CandidateMesh> {
     let (order, mut renumbered) = vertices_by_first_use(elements, lattice.vertices.positions.len());
+    context.check()?;
     let labelled = |c: usize| {
         let range = c * CHUNK..((c + 1) * CHUNK).min(elements.tets.len());
         range.filter(|e| !elements.labels[*e].is_background())
@@ -216,6 +223,7 @@ pub fn compact(
             surface_triangles: c.surface_triangles,
         })
         .collect();
+    context.check()?;
     if with_scaffold {
         let place = |v: u32| lattice.frame.local(lattice.vertices.positions[v as usize]);
         let count = mesh.points.len();
@@ -229,7 +237,7 @@ pub fn compact(
         let is_cut: Option<&(dyn Fn(&[u32; 4]) -> bool + Sync)> = if planes.is_empty() { None } else { Some(&is_cut) };
         mesh.scaffold = Scaffold::around(&elements.tets, &elements.labels, &mut renumbered, count, place, is_cut);
     }
-    mesh
+    Ok(mesh)
 }
 
 /// The planes of the image border that points lie beyond: axis, sign of the outward normal, position (mm).
@@ -314,8 +322,7 @@ pub fn merged_elements(
         label.is_some() && usize::from(cube.surface_triangles) <= max_surface_triangles
     };
     let mut is_merged: Vec<bool> = cubes.iter().zip(&labels).map(is_allowed).collect();
-    give_up_bad_cubes(&mesh.points, cubes, &cube_of, min_scaled_jacobian, &mut is_merged);
-    context.check()?;
+    give_up_bad_cubes(&mesh.points, cubes, &cube_of, min_scaled_jacobian, &mut is_merged, context)?;
     let is_center = |v: &VertexId| cube_of[v.index()] != u32::MAX && is_merged[cube_of[v.index()] as usize];
     let mut result = MergedElements {
         hexahedra: Vec::new(),
@@ -340,7 +347,8 @@ fn give_up_bad_cubes(
     cube_of: &[u32],
     min_scaled_jacobian: f64,
     is_merged: &mut [bool],
-) {
+    context: &RunContext,
+) -> Result<()> {
     let quality = |kind: ElementKind, nodes: &[VertexId]| {
         let mut corners = [DVec3::ZERO; 8];
         corners.iter_mut().zip(nodes).for_each(|(corner, v)| *corner = points[v.index()]);
@@ -359,9 +367,11 @@ fn give_up_bad_cubes(
                     || pyramids_of(cube, cube_of, is_merged)
                         .any(|p| quality(ElementKind::Pyramid, &p) < min_scaled_jacobian))
         };
-        let spoiled: Vec<usize> = (0..cubes.len()).filter(spoils).collect();
+        let all = (0..cubes.len()).into_par_iter().with_min_len(1024);
+        let spoiled: Vec<usize> = context.until_cancelled(all).filter(spoils).collect();
+        context.check()?;
         if spoiled.is_empty() {
-            break;
+            return Ok(());
         }
         spoiled.into_iter().for_each(|c| is_merged[c] = false);
     }

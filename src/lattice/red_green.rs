@@ -330,6 +330,7 @@ impl<'a> RedGreenLattice<'a> {
             elements.labels.extend_from_slice(&before.labels[range]);
             Ok(())
         })?;
+        context.check()?;
         let mut numbers = Vec::with_capacity(elements.leaves.len());
         for of_leaf in elements.leaves.chunk_by(|a, b| a == b) {
             let first = match self.unchanged[of_leaf[0] as usize] {
@@ -362,6 +363,7 @@ impl<'a> RedGreenLattice<'a> {
                 Ok(elements)
             })
             .collect::<Result<_>>()?;
+        context.check()?;
         self.check_size(chunks.iter().map(|c| c.tets.len()).sum())?;
         let (mut tets, mut labels, mut leaves) = (Vec::new(), Vec::new(), Vec::new());
         for chunk in chunks {

@@ -23,11 +23,16 @@ use std::collections::BTreeSet;
 use glam::IVec3;
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::face_adjacency::with_neighbors;
 use crate::lattice::interface_carving::Regions;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::voxel_fidelity::for_each_voxel;
+
+/// Elements per parallel work item.
+const CHUNK: usize = 1024;
 
 /// No region.
 const NONE: u32 = u32::MAX;
@@ -36,33 +41,38 @@ const NONE: u32 = u32::MAX;
 pub const STEPS: [IVec3; 6] = [IVec3::X, IVec3::NEG_X, IVec3::Y, IVec3::NEG_Y, IVec3::Z, IVec3::NEG_Z];
 
 /// The elements at gaps of labels that are in too many pieces, in increasing order.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn elements_at_gaps(
     lattice: &RedGreenLattice,
     elements: &Elements,
     neighbors: &[[u32; 4]],
     regions: &Regions,
-) -> Vec<u32> {
+    context: &RunContext,
+) -> Result<Vec<u32>> {
     let is_broken = |label: Label| regions.surplus[label.index()] > 0;
     if !regions.surplus.iter().any(|s| *s > 0) {
-        return Vec::new();
+        return Ok(Vec::new());
     }
     let mut of_voxel = vec![NONE; lattice.field.image.voxels().len()];
     let mut has_voxel =
         vec![false; regions.of_element.iter().filter(|r| **r != NONE).max().map_or(0, |r| *r as usize + 1)];
-    for (voxel, region) in own_voxels(lattice, elements, regions) {
+    for (voxel, region) in own_voxels(lattice, elements, regions, context)? {
         of_voxel[voxel] = region;
         has_voxel[region as usize] = true;
     }
-    let gaps = gap_voxels(lattice, &mut of_voxel, is_broken);
+    let gaps = gap_voxels(lattice, &mut of_voxel, is_broken, context)?;
     let touches_gap = |e: &usize| {
         let mut any = false;
         for_each_voxel(lattice, &elements.tets[*e], |at, _| any |= gaps.contains(&offset_of(lattice, at)));
         let region = regions.of_element[*e];
         any || (region != NONE && is_broken(elements.labels[*e]) && !has_voxel[region as usize])
     };
-    let elements = (0..elements.tets.len()).into_par_iter().with_min_len(1024);
-    let met: Vec<u32> = elements.filter(touches_gap).map(|e| e as u32).collect();
-    with_neighbors(&met, neighbors)
+    let elements = (0..elements.tets.len()).into_par_iter().with_min_len(CHUNK);
+    let met: Vec<u32> = context.until_cancelled(elements).filter(touches_gap).map(|e| e as u32).collect();
+    context.check()?;
+    Ok(with_neighbors(&met, neighbors))
 }
 
 /// Offset of a voxel in the image.
@@ -71,7 +81,12 @@ fn offset_of(lattice: &RedGreenLattice, at: IVec3) -> usize {
 }
 
 /// Voxels of broken labels that lie in an element of their label, with its region.
-fn own_voxels(lattice: &RedGreenLattice, elements: &Elements, regions: &Regions) -> Vec<(usize, u32)> {
+fn own_voxels(
+    lattice: &RedGreenLattice,
+    elements: &Elements,
+    regions: &Regions,
+    context: &RunContext,
+) -> Result<Vec<(usize, u32)>> {
     let own = |e: usize| {
         let mut found = Vec::new();
         let label = elements.labels[e];
@@ -84,11 +99,19 @@ fn own_voxels(lattice: &RedGreenLattice, elements: &Elements, regions: &Regions)
         }
         found
     };
-    (0..elements.tets.len()).into_par_iter().with_min_len(1024).flat_map_iter(own).collect()
+    let all = (0..elements.tets.len()).into_par_iter().with_min_len(CHUNK);
+    let voxels = context.until_cancelled(all).flat_map_iter(own).collect();
+    context.check()?;
+    Ok(voxels)
 }
 
 /// Gives the voxels without a region that of a neighbour, and returns those where different regions meet.
-fn gap_voxels(lattice: &RedGreenLattice, of_voxel: &mut [u32], is_broken: impl Fn(Label) -> bool) -> BTreeSet<usize> {
+fn gap_voxels(
+    lattice: &RedGreenLattice,
+    of_voxel: &mut [u32],
+    is_broken: impl Fn(Label) -> bool,
+    context: &RunContext,
+) -> Result<BTreeSet<usize>> {
     let image = lattice.field.image;
     let (grid, voxels) = (image.grid(), image.voxels());
     let size = IVec3::from_array(grid.size().map(|s| s as i32));
@@ -107,7 +130,8 @@ fn gap_voxels(lattice: &RedGreenLattice, of_voxel: &mut [u32], is_broken: impl F
         let found = |v: &usize| {
             neighbors(*v).map(|other| of_voxel[other]).filter(|region| *region != NONE).min().map(|region| (*v, region))
         };
-        let layer: Vec<(usize, u32)> = missed.iter().filter_map(found).collect();
+        let layer: Vec<(usize, u32)> = context.until_cancelled(&missed).filter_map(found).collect();
+        context.check()?;
         if layer.is_empty() {
             break;
         }
@@ -118,7 +142,9 @@ fn gap_voxels(lattice: &RedGreenLattice, of_voxel: &mut [u32], is_broken: impl F
         let own = of_voxel[*v];
         own != NONE && neighbors(*v).any(|other| of_voxel[other] != NONE && of_voxel[other] != own)
     };
-    broken.into_iter().filter(meets_other).collect()
+    let gaps = context.until_cancelled(broken).filter(meets_other).collect();
+    context.check()?;
+    Ok(gaps)
 }
 
 #[cfg(test)]
@@ -160,7 +186,7 @@ mod tests {
         let surplus = surplus_of(&found, &component_counts(image, 2, context).unwrap());
         assert_eq!(surplus[1], 1);
         let regions = joinable_regions(&elements, &found, surplus);
-        let marked = elements_at_gaps(&lattice, &elements, &neighbors, &regions);
+        let marked = elements_at_gaps(&lattice, &elements, &neighbors, &regions, context).unwrap();
         assert!(!marked.is_empty() && marked.len() < elements.tets.len() / 20, "{}", marked.len());
         // They lie where the fronts from both balls meet.
         assert!(
@@ -169,6 +195,6 @@ mod tests {
 
         // A label whose regions are those of the image has no gap.
         let whole = Regions { of_element: regions.of_element, surplus: vec![0, 0] };
-        assert!(elements_at_gaps(&lattice, &elements, &neighbors, &whole).is_empty());
+        assert!(elements_at_gaps(&lattice, &elements, &neighbors, &whole, context).unwrap().is_empty());
     }
 }

@@ -23,6 +23,8 @@ use glam::IVec3;
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::subdivision_criteria::Targets;
@@ -32,18 +34,22 @@ use crate::lattice::voxel_fidelity::{Mismatch, for_each_foreign_voxel};
 const LARGEST_TOLERANCE: f64 = 1.732;
 
 /// Marks the leaves to be refined for stray voxels, those above the level `finest`; `found` are the mismatches of the elements.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn mark_stray_voxels(
     lattice: &RedGreenLattice,
     elements: &Elements,
     found: &[Mismatch],
     targets: &Targets,
     finest: u32,
-) -> Vec<bool> {
+    context: &RunContext,
+) -> Result<Vec<bool>> {
     let mut marked = vec![false; lattice.tets.len()];
     if targets.surface_tolerance > LARGEST_TOLERANCE {
-        return marked;
+        return Ok(marked);
     }
-    let missed = missed_voxels(lattice, elements, found);
+    let missed = missed_voxels(lattice, elements, found, context)?;
     let image = lattice.field.image;
     let size = lattice.field.size();
     let label_at = |at: IVec3| image.at(at.x as usize, at.y as usize, at.z as usize);
@@ -62,12 +68,17 @@ pub fn mark_stray_voxels(
         mark(*at);
         beside(*at).for_each(&mut mark);
     }
-    marked
+    Ok(marked)
 }
 
 /// The labelled voxels that lie in elements of other labels, with the leaf of each. What is made of it does not depend on the
 /// order of a map.
-fn missed_voxels(lattice: &RedGreenLattice, elements: &Elements, found: &[Mismatch]) -> FxHashMap<IVec3, u32> {
+fn missed_voxels(
+    lattice: &RedGreenLattice,
+    elements: &Elements,
+    found: &[Mismatch],
+    context: &RunContext,
+) -> Result<FxHashMap<IVec3, u32>> {
     let holds = |m: &&Mismatch| !m.voxel_label.is_background();
     let mut holders: Vec<u32> = found.iter().filter(holds).map(|m| m.element).collect();
     holders.dedup();
@@ -81,7 +92,10 @@ fn missed_voxels(lattice: &RedGreenLattice, elements: &Elements, found: &[Mismat
         });
         voxels
     };
-    holders.par_iter().with_min_len(256).flat_map_iter(of_element).collect::<Vec<(IVec3, u32)>>().into_iter().collect()
+    let holders = context.until_cancelled(holders.par_iter().with_min_len(256));
+    let voxels: Vec<(IVec3, u32)> = holders.flat_map_iter(of_element).collect();
+    context.check()?;
+    Ok(voxels.into_iter().collect())
 }
 
 #[cfg(test)]
@@ -111,7 +125,7 @@ mod tests {
             loop {
                 let elements = lattice.elements(context).unwrap();
                 let found = mismatches(&lattice, &elements, &components, context).unwrap();
-                let marked = mark_stray_voxels(&lattice, &elements, &found, &targets, finest);
+                let marked = mark_stray_voxels(&lattice, &elements, &found, &targets, finest, context).unwrap();
                 let of_marked = lattice.tets.iter().zip(&marked).filter(|(_, marked)| **marked);
                 let centers: Vec<DVec3> = of_marked.map(|(tet, _)| lattice.centroid(tet)).collect();
                 if centers.is_empty() {

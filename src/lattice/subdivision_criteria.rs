@@ -23,6 +23,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::context::RunContext;
 use crate::error::{Error, Result};
 use crate::image::connected_components::{Component, Components};
 use crate::image::label_image::LabelImage;
@@ -153,28 +154,41 @@ pub fn finest_level(lattice: &RedGreenLattice, image: &LabelImage) -> u32 {
         .unwrap_or(lattice.frame.max_level())
 }
 
+/// What leaves are refined for.
+#[derive(Clone, Copy)]
+pub struct Demands<'a> {
+    /// Where the mesh falls short of the image.
+    pub deficit: &'a Deficit,
+    /// What is asked of each label.
+    pub targets: &'a Targets,
+    /// Deepest level, but for the sizes that the caller asks for.
+    pub finest: u32,
+}
+
 /// The leaves that have to be refined; of those in `straight` it is known that they miss no boundary.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn mark_leaves(
     lattice: &RedGreenLattice,
     elements: &Elements,
     mismatches: &[Mismatch],
-    deficit: &Deficit,
-    targets: &Targets,
-    finest: u32,
-    straight: impl Fn(usize) -> bool + Sync,
-) -> Vec<bool> {
+    demands: &Demands,
+    straight: impl Fn(usize) -> bool + Sync + Send,
+    context: &RunContext,
+) -> Result<Vec<bool>> {
+    let Demands { deficit, targets, finest } = *demands;
     let lacks_any = deficit.lacking.contains(&true);
-    let mut marked: Vec<bool> = lattice
-        .tets
-        .par_iter()
-        .zip(lattice.levels.par_iter())
-        .enumerate()
+    let leaves = lattice.tets.par_iter().zip(lattice.levels.par_iter()).enumerate();
+    let mut marked: Vec<bool> = context
+        .until_cancelled(leaves)
         .map(|(leaf, (tet, level))| {
             u32::from(*level) < finest
                 && (lacks_any && changes_sign(lattice, tet, *level, deficit, targets)
                     || !straight(leaf) && misses_boundary(lattice, tet, *level, targets))
         })
         .collect();
+    context.check()?;
     for m in mismatches {
         let leaf = elements.leaves[m.element as usize];
         let needed =
@@ -190,7 +204,7 @@ pub fn mark_leaves(
             marked[*leaf as usize] |= lattice.leaf_edge(*leaf) > targets.max_size[label.index()];
         }
     }
-    marked
+    Ok(marked)
 }
 
 /// Whether the signed distance of a label that lacks fidelity changes sign within the leaf.

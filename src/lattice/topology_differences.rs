@@ -29,6 +29,8 @@ use glam::IVec3;
 use rayon::prelude::*;
 use rustc_hash::{FxHashMap, FxHashSet};
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::image::label_image::LabelImage;
 use crate::image::simple_voxels::{Block, SimpleVoxels, WHOLE_BLOCK};
 use crate::index::Label;
@@ -41,20 +43,27 @@ use crate::lattice::voxel_fidelity::{for_each_foreign_voxel, for_each_voxel};
 /// Elements per parallel work item.
 const CHUNK: usize = 1024;
 
+/// Voxels that may follow between two looks at whether the run is cancelled.
+const VOXELS_PER_CHECK: usize = 4096;
+
 /// Share of the voxels at a label's boundary above which they are not refined for not being simple: of a wall one voxel thick
 /// none is simple. A few in a hundred are on brains.
 const FEW_FRAGILE: f64 = 0.05;
 
 /// The elements with voxels by which the topologies of labels differ, and their neighbours through faces, increasing.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn elements_at_differences(
     lattice: &RedGreenLattice,
     elements: &Elements,
     neighbors: &[[u32; 4]],
     euler: &EulerRanges,
-) -> Vec<u32> {
+    context: &RunContext,
+) -> Result<Vec<u32>> {
     let labels = euler.differing();
     if labels.is_empty() {
-        return Vec::new();
+        return Ok(Vec::new());
     }
     let image = lattice.field.image;
     let of_element = |e: usize| {
@@ -63,30 +72,35 @@ pub fn elements_at_differences(
         for_each_foreign_voxel(lattice, &elements.tets[e], own, |at, label| found.push((at, [label, own])));
         found
     };
-    let foreign: Vec<(IVec3, [Label; 2])> = over_elements(elements, of_element);
-    let of_label = |label: &Label| {
+    let foreign: Vec<(IVec3, [Label; 2])> = over_elements(elements, of_element, context)?;
+    let of_label = |label: &Label| -> Result<Vec<IVec3>> {
         let concerned = foreign.iter().filter(|(_, labels)| labels.contains(label));
         let body = Body { image, label: *label };
-        let differing = body.what_stays(concerned.map(|(at, _)| *at).collect());
+        let differing = body.what_stays(concerned.map(|(at, _)| *at).collect(), context)?;
         let is_unseen = differing.is_empty() && euler.out_of_reach(*label).is_some();
-        if is_unseen { body.fragile_voxels() } else { differing }
+        if is_unseen { body.fragile_voxels(context) } else { Ok(differing) }
     };
-    let sought: FxHashSet<IVec3> = labels.par_iter().flat_map_iter(of_label).collect();
+    let of_labels: Vec<Vec<IVec3>> = labels.par_iter().map(of_label).collect::<Result<_>>()?;
+    let sought: FxHashSet<IVec3> = of_labels.into_iter().flatten().collect();
     let holds = |e: usize| {
         let mut any = false;
         for_each_voxel(lattice, &elements.tets[e], |at, _| any |= sought.contains(&at));
         any.then_some(e as u32)
     };
-    let met = over_elements(elements, holds);
-    with_neighbors(&met, neighbors)
+    let met = over_elements(elements, holds, context)?;
+    Ok(with_neighbors(&met, neighbors))
 }
 
 /// What is found in each element, in order.
 fn over_elements<T: Send, I: IntoIterator<Item = T>>(
     elements: &Elements,
     find: impl Fn(usize) -> I + Sync + Send,
-) -> Vec<T> {
-    (0..elements.tets.len()).into_par_iter().with_min_len(CHUNK).flat_map_iter(find).collect()
+    context: &RunContext,
+) -> Result<Vec<T>> {
+    let all = (0..elements.tets.len()).into_par_iter().with_min_len(CHUNK);
+    let found = context.until_cancelled(all).flat_map_iter(find).collect();
+    context.check()?;
+    Ok(found)
 }
 
 /// The voxels of a label.
@@ -103,13 +117,16 @@ impl Body<'_> {
     }
 
     /// Of the voxels in which the body and its goal differ, those that cannot follow.
-    fn what_stays(&self, mut differing: Vec<IVec3>) -> Vec<IVec3> {
+    fn what_stays(&self, mut differing: Vec<IVec3>, context: &RunContext) -> Result<Vec<IVec3>> {
         let simple = SimpleVoxels::default();
         // Whether each has followed.
         let mut followed: FxHashMap<IVec3, bool> = differing.iter().map(|at| (*at, false)).collect();
         differing.sort_unstable_by_key(|at| (at.z, at.y, at.x));
         let mut queue: VecDeque<IVec3> = differing.iter().copied().collect();
+        let mut seen = 0;
         while let Some(at) = queue.pop_front() {
+            context.check_every(VOXELS_PER_CHECK, seen)?;
+            seen += 1;
             if followed[&at] {
                 continue;
             }
@@ -120,12 +137,12 @@ impl Body<'_> {
             }
         }
         differing.retain(|at| !followed[at]);
-        differing
+        Ok(differing)
     }
 
     /// Voxels in and beside the body that are not simple, of bridges, walls, tunnels and gaps one voxel wide; none where they are
     /// many.
-    fn fragile_voxels(&self) -> Vec<IVec3> {
+    fn fragile_voxels(&self, context: &RunContext) -> Result<Vec<IVec3>> {
         let simple = SimpleVoxels::default();
         let [ni, nj, nk] = self.image.grid().size().map(|s| s as i32);
         // Whether a voxel is simple, for those at the boundary.
@@ -135,13 +152,14 @@ impl Body<'_> {
         };
         let row =
             |row: i32| (0..ni).filter_map(move |i| look_at(IVec3::new(i, row % nj, row / nj))).collect::<Vec<_>>();
-        let boundary: Vec<(IVec3, bool)> = (0..nj * nk).into_par_iter().flat_map_iter(row).collect();
+        let boundary: Vec<(IVec3, bool)> = context.until_cancelled(0..nj * nk).flat_map_iter(row).collect();
+        context.check()?;
         // Beside the body means through a face: a voxel that touches it at a corner only is never simple, and of no bridge.
         let is_part = |at: IVec3| self.has(at) || STEPS.iter().any(|step| self.has(at + step));
         let is_fragile = |(at, is_simple): &&(IVec3, bool)| !is_simple && is_part(*at);
         let fragile: Vec<IVec3> = boundary.iter().filter(is_fragile).map(|(at, _)| *at).collect();
         let are_few = (fragile.len() as f64) < FEW_FRAGILE * boundary.len() as f64;
-        if are_few { fragile } else { Vec::new() }
+        Ok(if are_few { fragile } else { Vec::new() })
     }
 }
 
@@ -168,15 +186,20 @@ mod tests {
         let body = Body { image: &image, label: Label(1) };
         let all = || (0..12).flat_map(|k| (0..12).flat_map(move |j| (0..12).map(move |i| IVec3::new(i, j, k))));
         let lost: Vec<IVec3> = all().filter(|at| body.has(*at) && (3..8).contains(&at.x)).collect();
-        let stays = body.what_stays(lost);
+        let context = RunContext::with_threads(1).unwrap();
+        let stays = body.what_stays(lost.clone(), &context).unwrap();
         assert!(!stays.is_empty() && stays.iter().all(|at| is_bridge(at.as_dvec3()) || at.x == 3), "{stays:?}");
         assert!(stays.len() <= 5, "{stays:?}");
         // Only the layer: all of it can go.
-        assert!(body.what_stays(all().filter(|at| body.has(*at) && at.x == 0).collect()).is_empty());
+        let layer = all().filter(|at| body.has(*at) && at.x == 0).collect();
+        assert!(body.what_stays(layer, &context).unwrap().is_empty());
         // The bridge is what is fragile, with the voxels that it ends at.
-        let fragile = body.fragile_voxels();
+        let fragile = body.fragile_voxels(&context).unwrap();
         let is_of_bridge = |at: &&IVec3| is_bridge(at.with_x(at.x.clamp(4, 7)).as_dvec3()) && (3..9).contains(&at.x);
         assert!(fragile.iter().filter(|at| body.has(**at)).all(|at| is_of_bridge(&at)), "{fragile:?}");
         assert!((4..8).all(|x| fragile.contains(&IVec3::new(x, 5, 5))), "{fragile:?}");
+        context.cancel_token().cancel();
+        assert!(matches!(body.what_stays(lost, &context), Err(crate::Error::Cancelled)));
+        assert!(matches!(body.fragile_voxels(&context), Err(crate::Error::Cancelled)));
     }
 }

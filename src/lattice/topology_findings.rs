@@ -34,10 +34,8 @@ use crate::lattice::mesh_regions::{component_counts, regions_of, surplus_of};
 pub fn tell_topology(mesh: &CandidateMesh, image: &LabelImage, values: &[i32], context: &RunContext) -> Result<usize> {
     let (tets, labels) = (bytemuck::cast_slice(&mesh.tets), &mesh.tet_labels);
     let neighbors = neighbors_of(tets, mesh.points.len(), context)?;
-    context.check()?;
-    let topology = InterfaceTopology::new(tets, &neighbors, mesh.points.len());
-    context.check()?;
-    let pinched = topology.pinched(labels);
+    let topology = InterfaceTopology::new(tets, &neighbors, mesh.points.len(), context)?;
+    let pinched = topology.pinched(labels, context)?;
     for vertex in &pinched {
         let mut around = topology.labels_around(*vertex, labels).into_iter().filter(|l| !l.is_background());
         let label = around.find(|label| topology.excess_of(*vertex, *label, labels) > 0);
@@ -47,11 +45,9 @@ pub fn tell_topology(mesh: &CandidateMesh, image: &LabelImage, values: &[i32], c
         let place = image.grid().local_to_world(mesh.points[*vertex as usize]).to_array();
         context.report(finding.with_ids(i64::from(value), -1).at(place));
     }
-    context.check()?;
     // Without contacts at corners and edges both readings of the image agree.
     let wanted: Vec<i64> = euler_numbers(image, context)?.into_iter().map(|[closed, _]| closed).collect();
-    tell_euler_numbers(&topology.euler_ranges(labels, &wanted), values, context);
-    context.check()?;
+    tell_euler_numbers(&topology.euler_ranges(labels, &wanted, context)?, values, context);
     let regions = regions_of(labels, &neighbors, context)?;
     let surplus = surplus_of(&regions, &component_counts(image, values.len(), context)?);
     for (value, count) in values.iter().zip(surplus).filter(|(_, count)| *count > 0) {

@@ -29,8 +29,10 @@ fn mesh(image: &LabelImage, options: &[(&str, &str)]) -> MixedMesh {
 fn pinched(mesh: &MixedMesh) -> usize {
     let tets: Vec<[u32; 4]> = mesh.tets().unwrap().iter().map(|t| t.map(|v| v.index() as u32)).collect();
     let labels: Vec<Label> = mesh.labels.iter().map(|l| Label(*l as u16)).collect();
-    let neighbors = neighbors_of(&tets, mesh.points.len(), &RunContext::with_threads(1).unwrap()).unwrap();
-    InterfaceTopology::new(&tets, &neighbors, mesh.points.len()).pinched(&labels).len()
+    let context = RunContext::with_threads(1).unwrap();
+    let neighbors = neighbors_of(&tets, mesh.points.len(), &context).unwrap();
+    let topology = InterfaceTopology::new(&tets, &neighbors, mesh.points.len(), &context).unwrap();
+    topology.pinched(&labels, &context).unwrap().len()
 }
 
 /// Pieces of a label that hang together through faces.
@@ -164,8 +166,8 @@ fn a_sponge_keeps_all_its_tunnels_with_both_checks() {
         let tets: Vec<[u32; 4]> = result.tets().unwrap().iter().map(|t| t.map(|v| v.index() as u32)).collect();
         let labels: Vec<Label> = result.labels.iter().map(|l| Label(*l as u16)).collect();
         let neighbors = neighbors_of(&tets, result.points.len(), &context).unwrap();
-        let topology = InterfaceTopology::new(&tets, &neighbors, result.points.len());
-        let differing = topology.euler_ranges(&labels, &wanted).differing();
+        let topology = InterfaceTopology::new(&tets, &neighbors, result.points.len(), &context).unwrap();
+        let differing = topology.euler_ranges(&labels, &wanted, &context).unwrap().differing();
         assert!(differing.is_empty(), "{smoothing}: {differing:?}");
     }
 }

@@ -71,8 +71,9 @@ pub fn recounted(
     context: &RunContext,
 ) -> Result<Vec<Mismatch>> {
     let has_changed = |e: u32| before[e as usize] != elements.labels[e as usize];
-    let changed: Vec<u32> =
-        (0..before.len() as u32).into_par_iter().with_min_len(CHUNK).filter(|e| has_changed(*e)).collect();
+    let all = (0..before.len() as u32).into_par_iter().with_min_len(CHUNK);
+    let changed: Vec<u32> = context.until_cancelled(all).filter(|e| has_changed(*e)).collect();
+    context.check()?;
     let anew = mismatches_of(lattice, elements, changed, components, context)?;
     let mut all: Vec<Mismatch> = found.iter().filter(|m| !has_changed(m.element)).copied().chain(anew).collect();
     // Stable: those of one element keep their order.
@@ -94,7 +95,9 @@ pub fn mismatches_after(
     context: &RunContext,
 ) -> Result<Vec<Mismatch>> {
     let is_new = |e: &u32| numbers[*e as usize] == CHANGED;
-    let new: Vec<u32> = (0..numbers.len() as u32).into_par_iter().with_min_len(CHUNK).filter(is_new).collect();
+    let all = (0..numbers.len() as u32).into_par_iter().with_min_len(CHUNK);
+    let new: Vec<u32> = context.until_cancelled(all).filter(is_new).collect();
+    context.check()?;
     let mut all = mismatches_of(lattice, elements, new, components, context)?;
     // Elements keep their order, and so do those that were there before.
     let mut kept = (0u32..).zip(numbers).filter(|(_, number)| **number != CHANGED).peekable();
