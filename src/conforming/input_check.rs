@@ -142,7 +142,7 @@ pub fn check(surface: &SurfaceMesh, options: &Options, context: &RunContext) -> 
         check.error(FindingCode::DegeneratePointSet, [-1, -1], None, "the surface has no triangles".into());
     }
     check.check_dimension();
-    check.check_edges(options, context);
+    check.check_edges(options, context)?;
     context.check()?;
     check.check_pairs(context)?;
     check.check_near_points(options);
@@ -259,10 +259,10 @@ impl Check<'_> {
         }
     }
 
-    fn check_edges(&mut self, options: &Options, context: &RunContext) {
+    fn check_edges(&mut self, options: &Options, context: &RunContext) -> Result<()> {
         let edges = context.install(|| EdgeTable::new(&self.facets));
         let sheets = self.find_sheets(&edges);
-        self.report_open_edges(&edges, &sheets);
+        self.report_open_edges(&edges, &sheets, context)?;
         for edge in (0..edges.ends.len()).filter(|&edge| edges.facets(edge).len() > 2) {
             let (key, count) = (edges.ends[edge], edges.facets(edge).len());
             let forbidden = options.domain == DomainRule::Nesting && count % 2 == 1;
@@ -273,6 +273,7 @@ impl Check<'_> {
             self.push(FindingCode::NonManifoldEdge, severity, ids, Some(self.middle(key)), text);
         }
         self.check_orientation(&edges);
+        Ok(())
     }
 
     fn middle(&self, edge: [u32; 2]) -> DVec3 {
@@ -301,14 +302,14 @@ impl Check<'_> {
 
     /// Open edges are errors unless their sheet lies inside what is closed, or its patch says embedded. Those of facets that
     /// were left out follow from what was found before.
-    fn report_open_edges(&mut self, edges: &EdgeTable, sheets: &[bool]) {
+    fn report_open_edges(&mut self, edges: &EdgeTable, sheets: &[bool], context: &RunContext) -> Result<()> {
         if !sheets.contains(&true) {
-            return;
+            return Ok(());
         }
         let component = self.sheet_components(edges, sheets);
         let core: Vec<u32> = (0..self.facets.len() as u32).filter(|&f| !sheets[f as usize]).collect();
         let boxes = core.iter().map(|&f| self.facet_box(f)).collect();
-        let tree = AabbTree::new(boxes);
+        let tree = AabbTree::new(boxes, context)?;
         let mut inside: FxHashMap<u32, bool> = FxHashMap::default();
         for edge in 0..edges.ends.len() {
             let &[facet] = edges.facets(edge) else { continue };
@@ -328,6 +329,7 @@ impl Check<'_> {
             let ids = key.map(i64::from);
             self.push(FindingCode::OpenEdge, severity, ids, Some(self.middle(key)), text);
         }
+        Ok(())
     }
 
     fn facet_box(&self, facet: u32) -> BoundingBox {
@@ -420,7 +422,7 @@ impl Check<'_> {
 
     fn check_pairs(&mut self, context: &RunContext) -> Result<()> {
         let boxes: Vec<BoundingBox> = (0..self.facets.len() as u32).map(|f| self.facet_box(f)).collect();
-        let tree = AabbTree::new(boxes.clone());
+        let tree = AabbTree::new(boxes.clone(), context)?;
         let facets = &self.facets;
         let points = &self.surface.points;
         let chunks: Vec<usize> = (0..facets.len()).step_by(CHUNK).collect();

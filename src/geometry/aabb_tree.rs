@@ -9,10 +9,15 @@
 
 use glam::DVec3;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::geometry::bounding_box::BoundingBox;
 
 /// Items of a leaf: below four the nodes cost more than the tests they save.
 const LEAF_ITEMS: usize = 4;
+
+/// Parts of more items look at whether the run is cancelled before they are split.
+const ITEMS_PER_CHECK: usize = 4096;
 
 #[derive(Debug, Clone, Copy)]
 struct Node {
@@ -33,21 +38,27 @@ pub struct AabbTree {
 
 impl AabbTree {
     /// The tree of some boxes.
-    pub fn new(boxes: Vec<BoundingBox>) -> Self {
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+    pub fn new(boxes: Vec<BoundingBox>, context: &RunContext) -> Result<Self> {
         let mut tree = Self { nodes: Vec::new(), order: (0..boxes.len() as u32).collect(), boxes };
         if !tree.boxes.is_empty() {
-            tree.build(0, tree.boxes.len());
+            tree.build(0, tree.boxes.len(), context)?;
         }
-        tree
+        Ok(tree)
     }
 
-    fn build(&mut self, begin: usize, end: usize) {
+    fn build(&mut self, begin: usize, end: usize, context: &RunContext) -> Result<()> {
+        if end - begin > ITEMS_PER_CHECK {
+            context.check()?;
+        }
         let items = &self.order[begin..end];
         let bounds = items.iter().fold(BoundingBox::EMPTY, |b, &i| b.union(self.boxes[i as usize]));
         let node = self.nodes.len();
         self.nodes.push(Node { bounds, next: begin as u32, items: (end - begin) as u32 });
         if end - begin <= LEAF_ITEMS {
-            return;
+            return Ok(());
         }
         let centers = BoundingBox::of_points(items.iter().map(|&i| self.boxes[i as usize].center()));
         let axis = centers.size().max_position();
@@ -57,10 +68,10 @@ impl AabbTree {
             let key = |i: u32| boxes[i as usize].center()[axis];
             key(l).total_cmp(&key(r)).then(l.cmp(&r))
         });
-        self.build(begin, begin + middle);
+        self.build(begin, begin + middle, context)?;
         self.nodes[node].next = self.nodes.len() as u32;
         self.nodes[node].items = 0;
-        self.build(begin + middle, end);
+        self.build(begin + middle, end, context)
     }
 
     /// Calls `visit` for every item whose box passes `test`; `test` must hold for boxes that contain a passing one.
@@ -120,6 +131,10 @@ impl AabbTree {
 mod tests {
     use super::*;
 
+    fn tree_of(boxes: Vec<BoundingBox>) -> AabbTree {
+        AabbTree::new(boxes, &RunContext::with_threads(1).unwrap()).unwrap()
+    }
+
     fn cubes(count: usize) -> Vec<BoundingBox> {
         (0..count)
             .map(|i| {
@@ -132,7 +147,7 @@ mod tests {
     #[test]
     fn overlaps_agree_with_all_pairs() {
         let boxes = cubes(300);
-        let tree = AabbTree::new(boxes.clone());
+        let tree = tree_of(boxes.clone());
         for query in &boxes {
             let mut found = Vec::new();
             tree.overlapping(*query, |i| found.push(i));
@@ -143,11 +158,19 @@ mod tests {
     }
 
     #[test]
+    fn a_cancelled_run_builds_no_large_tree() {
+        let context = RunContext::with_threads(1).unwrap();
+        context.cancel_token().cancel();
+        let tree = AabbTree::new(cubes(ITEMS_PER_CHECK + 1), &context);
+        assert!(matches!(tree, Err(crate::Error::Cancelled)));
+    }
+
+    #[test]
     fn a_segment_finds_the_boxes_on_its_way() {
-        let tree = AabbTree::new(cubes(300));
+        let tree = tree_of(cubes(300));
         let mut found = Vec::new();
         tree.along_segment(DVec3::splat(-1.0), DVec3::splat(1.0), |i| found.push(i));
         assert_eq!(found, [0]);
-        AabbTree::new(Vec::new()).overlapping(BoundingBox::EMPTY, |_| panic!("an empty tree has no items"));
+        tree_of(Vec::new()).overlapping(BoundingBox::EMPTY, |_| panic!("an empty tree has no items"));
     }
 }

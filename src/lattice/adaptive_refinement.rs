@@ -564,8 +564,7 @@ impl Rounds<'_> {
             let extent = if round < CARVING_ROUNDS { Extent::NearLabel } else { Extent::Whole };
             let rules = FillingRules { regions: &joinable, euler: &self.euler, extent };
             let fillings = choose_fillings(lattice, elements, &neighbors, &pinches, &rules, context)?;
-            let Carved { vertices, numbers } = carve(lattice, elements, &fillings);
-            context.check()?;
+            let Carved { vertices, numbers } = carve(lattice, elements, &fillings, context)?;
             self.report.add("topology.carved_vertices", vertices as f64);
             if vertices == 0 {
                 break;

@@ -18,6 +18,8 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use crate::context::RunContext;
+use crate::error::Result;
 use crate::image::label_image::LabelImage;
 use crate::index::{Label, VertexId};
 use crate::lattice::face_adjacency::OUTSIDE;
@@ -41,18 +43,22 @@ pub struct SourcePoints {
 impl SourcePoints {
     /// The surface vertices of tets with their face neighbours. Those on one of the border `planes`, along which the mesh and
     /// its scaffold were cut, have it among their sides, also where no face of the mesh is in the plane.
-    pub fn new(
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+    pub fn find(
         points: &[DVec3],
         tets: &[[VertexId; 4]],
         labels: &[Label],
         neighbors: &[[u32; 4]],
         surface: &SubvoxelSurface,
         planes: &[u8],
-    ) -> Self {
+        context: &RunContext,
+    ) -> Result<Self> {
         // (vertex, side) pairs of all faces between different sides, by chunks in order.
-        let mut pairs: Vec<(u32, Side)> = (0..tets.len())
-            .into_par_iter()
-            .with_min_len(4096)
+        let all = (0..tets.len()).into_par_iter().with_min_len(4096);
+        let mut pairs: Vec<(u32, Side)> = context
+            .until_cancelled(all)
             .flat_map_iter(|t| {
                 let mut found: [Option<(u32, Side)>; 24] = [None; 24];
                 let mut count = 0;
@@ -76,7 +82,9 @@ impl SourcePoints {
                 found.into_iter().flatten()
             })
             .collect();
+        context.check()?;
         pairs.par_sort_unstable();
+        context.check()?;
         pairs.dedup();
         let on_planes: Vec<(u32, Side)> = pairs
             .chunk_by(|a, b| a.0 == b.0)
@@ -89,9 +97,13 @@ impl SourcePoints {
                 planes.iter().filter(is_on).map(move |plane| (v, Side::Border(*plane)))
             })
             .collect();
-        pairs.extend(on_planes);
-        pairs.par_sort_unstable();
-        pairs.dedup();
+        context.check()?;
+        if !on_planes.is_empty() {
+            pairs.extend(on_planes);
+            pairs.par_sort_unstable();
+            pairs.dedup();
+            context.check()?;
+        }
         let mut sources = Self { offsets: vec![0], position: vec![u32::MAX; points.len()], ..Self::default() };
         for (vertex, side) in pairs {
             if sources.vertices.last() != Some(&VertexId(vertex)) {
@@ -106,7 +118,21 @@ impl SourcePoints {
         if !sources.vertices.is_empty() {
             sources.offsets.push(sources.sides.len() as u32);
         }
-        sources
+        Ok(sources)
+    }
+
+    /// [`find`](Self::find) in a run that nobody cancels.
+    #[cfg(test)]
+    pub fn new(
+        points: &[DVec3],
+        tets: &[[VertexId; 4]],
+        labels: &[Label],
+        neighbors: &[[u32; 4]],
+        surface: &SubvoxelSurface,
+        planes: &[u8],
+    ) -> Self {
+        let context = RunContext::with_threads(1).unwrap();
+        Self::find(points, tets, labels, neighbors, surface, planes, &context).unwrap()
     }
 
     /// Sides of the source point of this position.

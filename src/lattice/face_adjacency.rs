@@ -63,8 +63,8 @@ pub fn neighbors_of(tets: &[[u32; 4]], vertex_count: usize, context: &RunContext
     for begin in (0..count).step_by(per_pass.max(1)) {
         context.check()?;
         let buckets = Buckets { begin, end: count.min(begin + per_pass), shift };
-        let chunks: Vec<(Vec<Side>, Vec<u32>)> =
-            tets.par_chunks(CHUNK).enumerate().map(|(c, chunk)| buckets.fill(chunk, c * CHUNK)).collect();
+        let chunks = context.until_cancelled(tets.par_chunks(CHUNK).enumerate());
+        let chunks: Vec<(Vec<Side>, Vec<u32>)> = chunks.map(|(c, chunk)| buckets.fill(chunk, c * CHUNK)).collect();
         let join = |bucket: usize| {
             context.check()?;
             buckets.join_sides(&chunks, bucket, &rows)
@@ -198,7 +198,8 @@ pub fn neighbors_after(
         OUTSIDE => [OUTSIDE; 4],
         number => before[number as usize].map(|n| if n == OUTSIDE { OUTSIDE } else { renumbered[n as usize] }),
     };
-    let mut neighbors: Vec<[u32; 4]> = numbers.par_iter().with_min_len(CHUNK).map(behind).collect();
+    let rows = context.until_cancelled(numbers.par_iter().with_min_len(CHUNK));
+    let mut neighbors: Vec<[u32; 4]> = rows.map(behind).collect();
     context.check()?;
     let is_open = |t: usize, f: usize| {
         neighbors[t][f] == OUTSIDE && (numbers[t] == OUTSIDE || before[numbers[t] as usize][f] != OUTSIDE)

@@ -77,7 +77,6 @@ pub fn boundary_of(mesh: &MixedMesh, context: &RunContext) -> Result<BoundaryFac
 fn boundary_of_tets(mesh: &MixedMesh, context: &RunContext) -> Result<BoundaryFaces> {
     let tets: &[[u32; 4]] = bytemuck::cast_slice(mesh.tets()?);
     let neighbors = neighbors_of(tets, mesh.points.len(), context)?;
-    context.check()?;
     let part = |(chunk, rows): (usize, &[[u32; 4]])| {
         let mut boundary = BoundaryFaces::default();
         for (t, near) in rows.iter().enumerate().map(|(at, near)| (chunk * CHUNK + at, near)) {

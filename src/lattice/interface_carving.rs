@@ -53,6 +53,9 @@ use crate::lattice::red_green::{CHANGED, Elements, RedGreenLattice};
 /// Groups of pinched vertices between two looks at whether the run is cancelled.
 const GROUPS_PER_CHECK: usize = 64;
 
+/// Elements between two such looks while they are cut.
+const ELEMENTS_PER_CHECK: usize = 1 << 16;
+
 /// What is known of the pieces of labels, to choose what may be joined.
 pub struct Regions {
     /// Region of each element: elements of one label connected through faces, or of one component of the image.
@@ -142,11 +145,19 @@ pub struct Fillings {
 }
 
 /// Cuts the elements around the pinched vertices and labels the inner parts.
-pub fn carve(lattice: &mut RedGreenLattice, elements: &mut Elements, fillings: &Fillings) -> Carved {
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`]; elements are missing then.
+pub fn carve(
+    lattice: &mut RedGreenLattice,
+    elements: &mut Elements,
+    fillings: &Fillings,
+    context: &RunContext,
+) -> Result<Carved> {
     let Fillings { group_of, labels } = fillings;
     let treated = group_of.iter().filter(|g| **g != u32::MAX).count();
-    let numbers = if treated > 0 { cut(lattice, elements, group_of, labels) } else { Vec::new() };
-    Carved { vertices: treated, numbers }
+    let numbers = if treated > 0 { cut(lattice, elements, group_of, labels, context)? } else { Vec::new() };
+    Ok(Carved { vertices: treated, numbers })
 }
 
 /// What the surroundings of pinched vertices are to be filled with.
@@ -277,7 +288,13 @@ fn label_for(
 }
 
 /// Cuts every element with vertices in groups; the number before of each element, or [`CHANGED`].
-fn cut(lattice: &mut RedGreenLattice, elements: &mut Elements, group_of: &[u32], labels: &[Label]) -> Vec<u32> {
+fn cut(
+    lattice: &mut RedGreenLattice,
+    elements: &mut Elements,
+    group_of: &[u32],
+    labels: &[Label],
+    context: &RunContext,
+) -> Result<Vec<u32>> {
     let old = std::mem::take(elements);
     // What a tet with one, two, three of its vertices in a group becomes.
     let pieces = |tet: &[u32; 4]| match tet.iter().filter(|v| group_of[**v as usize] != u32::MAX).count() {
@@ -291,6 +308,7 @@ fn cut(lattice: &mut RedGreenLattice, elements: &mut Elements, group_of: &[u32],
     elements.labels.reserve_exact(count);
     elements.leaves.reserve_exact(count);
     for (number, ((tet, own), leaf)) in (0u32..).zip(old.tets.iter().zip(&old.labels).zip(&old.leaves)) {
+        context.check_every(ELEMENTS_PER_CHECK, number as usize)?;
         numbers.resize(elements.tets.len(), CHANGED);
         let group = tet.iter().map(|v| group_of[*v as usize]).find(|g| *g != u32::MAX);
         let mut push = |lattice: &RedGreenLattice, tet: [u32; 4], label: Label| {
@@ -337,7 +355,7 @@ fn cut(lattice: &mut RedGreenLattice, elements: &mut Elements, group_of: &[u32],
         }
     }
     numbers.resize(elements.tets.len(), CHANGED);
-    numbers
+    Ok(numbers)
 }
 
 /// Three tets of a prism with triangles (0 1 2) and (3 4 5), 3 across 0: every side is cut at its smallest vertex, so that
@@ -428,7 +446,7 @@ mod tests {
                 let pinches = Pinches::new(line.clone(), Vec::new());
                 let rules = FillingRules { regions: &regions, euler: &[], extent };
                 let fillings = choose_fillings(&lattice, &elements, &neighbors, &pinches, &rules, context).unwrap();
-                let carved = carve(&mut lattice, &mut elements, &fillings);
+                let carved = carve(&mut lattice, &mut elements, &fillings, context).unwrap();
                 let after = neighbors_after(&neighbors, &carved.numbers, &elements.tets, context).unwrap();
                 assert_eq!(after, neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap());
                 let kept = carved.numbers.iter().filter(|n| **n != CHANGED).count();
@@ -463,7 +481,7 @@ mod tests {
             let regions = Regions { of_element: vec![0; elements.tets.len()], surplus: vec![9; 3] };
             let rules = FillingRules { regions: &regions, euler: &[], extent: Extent::NearLabel };
             let fillings = choose_fillings(&lattice, &elements, &neighbors, &first, &rules, context).unwrap();
-            let carved = carve(&mut lattice, &mut elements, &fillings);
+            let carved = carve(&mut lattice, &mut elements, &fillings, context).unwrap();
             let to_see = first.to_see_after(&lattice, &elements, &carved.numbers);
             let neighbors = neighbors_after(&neighbors, &carved.numbers, &elements.tets, context).unwrap();
             let all = Pinches::among(&lattice, &elements, &neighbors, |_| true, context).unwrap();
@@ -473,8 +491,11 @@ mod tests {
             context.cancel_token().cancel();
             let found = Pinches::among(&lattice, &elements, &neighbors, |_| true, context);
             assert!(matches!(found, Err(crate::Error::Cancelled)));
-            let fillings = choose_fillings(&lattice, &elements, &neighbors, &first, &rules, context);
-            assert!(matches!(fillings, Err(crate::Error::Cancelled)));
+            let chosen = choose_fillings(&lattice, &elements, &neighbors, &first, &rules, context);
+            assert!(matches!(chosen, Err(crate::Error::Cancelled)));
+            let all = Fillings { group_of: vec![0; lattice.vertices.positions.len()], labels: vec![Label(1)] };
+            let carved = carve(&mut lattice, &mut elements, &all, context);
+            assert!(matches!(carved, Err(crate::Error::Cancelled)));
         });
     }
 

@@ -193,7 +193,10 @@ pub struct Descent<'a> {
 
 impl<'a> Descent<'a> {
     /// A descent from the given values of the voxels of the band, in order.
-    pub fn new(bricks: &'a Bricks, unknowns: &[Unknown], spacing: DVec3) -> Self {
+    ///
+    /// # Errors
+    /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+    pub fn new(bricks: &'a Bricks, unknowns: &[Unknown], spacing: DVec3, context: &RunContext) -> Result<Self> {
         let inverse = (spacing * spacing).recip();
         let slots = bricks.slot_count();
         let by_slot = |of: fn(&Unknown) -> f32| {
@@ -201,9 +204,13 @@ impl<'a> Descent<'a> {
             bricks.slots.iter().zip(unknowns).for_each(|(slot, unknown)| values[*slot as usize] = of(unknown));
             values
         };
+        context.check()?;
         let terms = terms_of(bricks);
+        context.check()?;
         let rates = (inverse / (4.0 * inverse.element_sum())).to_array().map(|rate| rate as f32);
-        Self {
+        let totals = totals_of(bricks, &terms, rates);
+        context.check()?;
+        Ok(Self {
             values: by_slot(|u| u.value),
             low: by_slot(|u| u.low),
             high: by_slot(|u| u.high),
@@ -211,13 +218,13 @@ impl<'a> Descent<'a> {
             bending: vec![[[0.0; WIDTH]; TERMS]; slots / WIDTH],
             variation: vec![[[0.0; WIDTH]; TERMS]; slots / WIDTH],
             weights: bending_weights(spacing),
-            totals: totals_of(bricks, &terms, rates),
+            totals,
             terms,
             rates,
             last: LAST_STEP * spacing.min_element() as f32,
             scale: ((4.0 * inverse.element_sum()).powi(3) * (spacing.element_sum() / 3.0).powi(4)) as f32,
             bricks,
-        }
+        })
     }
 
     /// Least and largest values by slot; a step brings the values within them.
@@ -533,7 +540,7 @@ mod tests {
         let voxels: Vec<usize> = (0..count).filter(|n| is_in_band[*n]).collect();
         let unknowns: Vec<Unknown> =
             voxels.iter().map(|n| Unknown { value: noise(*n), low: -9.0, high: 9.0 }).collect();
-        let mut descent = Descent::new(&bricks, &unknowns, SPACING);
+        let mut descent = Descent::new(&bricks, &unknowns, SPACING, &RunContext::with_threads(1).unwrap()).unwrap();
         descent.ahead.copy_from_slice(&descent.values);
         descent.take_bending();
         descent.take_variation();
@@ -582,16 +589,19 @@ mod tests {
                 let at = |n: usize| [n % 9, n / 9 % 9, n / 81][axis] as f64 * spacing[axis];
                 let value = |n: usize| Unknown { value: (0.1 * at(n).powi(3)) as f32, low: -1e3, high: 1e3 };
                 let unknowns: Vec<Unknown> = (0..729).map(value).collect();
-                let roughness = Descent::new(&bricks, &unknowns, spacing).roughness(&context).unwrap();
+                let roughness =
+                    Descent::new(&bricks, &unknowns, spacing, &context).unwrap().roughness(&context).unwrap();
                 let mean = spacing.element_sum() / 3.0;
                 let (found, expected) = (f64::from(roughness[4 + 9 * (4 + 9 * 4)]), 0.6 * mean * mean);
                 assert!((found / expected - 1.0).abs() < 1e-3, "{found} {expected}");
             }
         }
-        context.cancel_token().cancel();
         let unknowns = [Unknown { value: 0.0, low: -1.0, high: 1.0 }; 729];
-        let cancelled = Descent::new(&bricks, &unknowns, SPACING).roughness(&context);
-        assert!(matches!(cancelled, Err(crate::Error::Cancelled)));
+        let mut descent = Descent::new(&bricks, &unknowns, SPACING, &context).unwrap();
+        context.cancel_token().cancel();
+        assert!(matches!(descent.roughness(&context), Err(crate::Error::Cancelled)));
+        let again = Descent::new(&bricks, &unknowns, SPACING, &context);
+        assert!(matches!(again, Err(crate::Error::Cancelled)));
     }
 
     #[test]
@@ -601,8 +611,8 @@ mod tests {
         let bricks = Bricks::new(&is_in_band, SIZE);
         let bounds = |n: usize| Unknown { value: noise(n), low: noise(n) - 0.1, high: noise(n) + 0.2 };
         let unknowns: Vec<Unknown> = (0..count).filter(|n| is_in_band[*n]).map(bounds).collect();
-        let mut descent = Descent::new(&bricks, &unknowns, SPACING);
         let context = RunContext::with_threads(1).unwrap();
+        let mut descent = Descent::new(&bricks, &unknowns, SPACING, &context).unwrap();
         descent.run(Energy::Bending, 20, &context).unwrap();
         descent.run(Energy::Variation, 20, &context).unwrap();
         let mut values = descent.into_values();

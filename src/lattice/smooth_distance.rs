@@ -595,7 +595,7 @@ impl<'a> LabelBand<'a> {
         let distances = known.as_ref().map(|known| known.distances.as_slice());
         let unknowns = self.unknowns(distances);
         context.check()?;
-        let mut descent = Descent::new(&self.bricks, &unknowns, self.image.grid().spacing());
+        let mut descent = Descent::new(&self.bricks, &unknowns, self.image.grid().spacing(), context)?;
         drop(unknowns);
         self.descend(&mut descent, context)?;
         let values = descent.into_values();

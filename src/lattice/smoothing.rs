@@ -64,16 +64,15 @@ pub fn smooth(
     report.set("smoothing.border_planes", planes.len() as f64);
     let mut neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len(), context)?;
     let far = if options.check_mesh_topology { FarPieces::Go } else { FarPieces::Stay };
-    context.check()?;
     let loose = report.timed("loose_pieces", || relabel_loose_pieces(mesh, &neighbors, image, far, context))?;
     if loose > 0 {
         neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len(), context)?;
     }
     report.set("smoothing.loose_pieces", loose as f64);
     context.check()?;
-    let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &neighbors, &surface, &planes);
+    let (tets, labels) = (&mesh.tets, &mesh.tet_labels);
+    let sources = SourcePoints::find(&mesh.points, tets, labels, &neighbors, &surface, &planes, context)?;
     drop(neighbors);
-    context.check()?;
     let targets = TargetPoints::new(image, options.non_connectivity);
     let points = SmoothingPoints {
         sources: sources.vertices.iter().map(|v: &VertexId| mesh.points[v.index()]).collect(),

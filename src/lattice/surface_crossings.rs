@@ -83,7 +83,7 @@ fn crossings_among(
 ) -> Result<usize> {
     let at = |v: u32| mesh.points[v as usize];
     let box_of = |f: &[u32; 3]| BoundingBox::of_points(f.map(at));
-    let tree = AabbTree::new(faces.par_iter().map(box_of).collect());
+    let tree = AabbTree::new(faces.par_iter().map(box_of).collect(), context)?;
     let of_face = |first: usize| {
         let mut count = 0;
         tree.overlapping(box_of(&faces[first]), |second| {
@@ -91,7 +91,6 @@ fn crossings_among(
         });
         count
     };
-    context.check()?;
     let asked = (0..faces.len()).into_par_iter().with_min_len(256).filter(|face| is_asked(*face));
     let count = context.until_cancelled(asked).map(of_face).sum();
     context.check()?;

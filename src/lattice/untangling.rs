@@ -83,7 +83,6 @@ pub fn move_guarded(
     let mut round = 0;
     context.check()?;
     while bad.iter().any(|b| !b.is_empty()) {
-        context.check()?;
         let of_group = |(group, bad): (&GuardedTets, &Vec<u32>)| -> Vec<VertexId> {
             bad.iter().flat_map(|t| group.tets[*t as usize]).collect()
         };
@@ -100,10 +99,11 @@ pub fn move_guarded(
             let mut touched: Vec<u32> = moved.iter().flat_map(|v| group.incidence.of(v.index())).copied().collect();
             touched.sort_unstable();
             touched.dedup();
-            touched.into_par_iter().filter(|t| is_spoiled(points, group, *t)).collect()
+            context.until_cancelled(touched).filter(|t| is_spoiled(points, group, *t)).collect()
         };
         bad = guarded.iter().map(still_bad).collect();
         round += 1;
+        context.check()?;
     }
     Ok(GuardedMove {
         damped: factors.iter().filter(|f| **f > 0.0 && **f < 1.0).count(),

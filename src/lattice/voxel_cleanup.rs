@@ -58,7 +58,6 @@ pub fn clean<'a>(image: &'a LabelImage, options: &Options, context: &RunContext)
         let changed = remove_small_regions(clean.to_mut(), threshold, context)?;
         tell(&changed, image, "voxels of small regions", "cleanup.small_regions", &mut report, context);
     }
-    context.check()?;
     let before = clean.voxel_counts();
     if options.check_image_topology {
         let changed = remove_contacts(clean.to_mut(), options.seed, context)?;

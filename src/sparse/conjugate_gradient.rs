@@ -91,7 +91,7 @@ pub(crate) fn residual_of(matrix: &BlockCsr, right: &[DVec3], solution: &[DVec3]
 /// Solves `matrix * solution = right` from the given start in `solution`.
 ///
 /// # Errors
-/// [`crate::Error::Cancelled`] or [`crate::Error::LimitReached`] between iterations.
+/// [`crate::Error::Cancelled`] or [`crate::Error::LimitReached`], twice an iteration.
 pub fn conjugate_gradient(
     matrix: &BlockCsr,
     right: &[DVec3],
@@ -147,6 +147,7 @@ pub fn conjugate_gradient_from(
         }
         let beta = if iteration == 0 { 0.0 } else { rho / rho_before };
         scale_and_add(&mut direction, beta, &scaled);
+        context.check()?;
         matrix.multiply(&direction, &mut product);
         let curvature = ordered_dot(&direction, &product);
         if !(curvature > 0.0 && curvature.is_finite()) {
