@@ -36,6 +36,7 @@ use crate::index::Label;
 use crate::lattice::bcc_lattice::{Field, LatticeFrame};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
+use crate::lattice::euler_ranges::EulerRanges;
 use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
 use crate::lattice::image_contacts::ImageContacts;
 use crate::lattice::interface_carving::{Carved, Extent, FillingRules, Pinches, carve, choose_fillings};
@@ -283,7 +284,7 @@ impl Rounds<'_> {
                         (marked, found) =
                             self.make_manifold(lattice, &mut elements, neighbors.clone(), found, &deficit, limit)?;
                     } else if self.smooths {
-                        found = self.relabel_pinches(lattice, &mut elements, &neighbors, found, &deficit)?;
+                        (found, _) = self.relabel_pinches(lattice, &mut elements, &neighbors, found, &deficit)?;
                         // No leaf is marked any more: the last use of the neighbours.
                         let neighbors = std::mem::take(&mut neighbors);
                         (_, found) = self.carve_pinches(lattice, &mut elements, neighbors, found)?;
@@ -419,7 +420,8 @@ impl Rounds<'_> {
         self.relabel(lattice, elements, neighbors, |e| holds[e])
     }
 
-    /// Relabels pinched elements where that costs neither fidelity nor a component; returns the mismatches then.
+    /// Relabels pinched elements where that costs neither fidelity nor a component; returns the mismatches then, and the Euler
+    /// numbers where they are to be kept.
     fn relabel_pinches(
         &mut self,
         lattice: &RedGreenLattice,
@@ -427,7 +429,7 @@ impl Rounds<'_> {
         neighbors: &[[u32; 4]],
         found: Vec<Mismatch>,
         before: &Deficit,
-    ) -> Result<Vec<Mismatch>> {
+    ) -> Result<(Vec<Mismatch>, Option<EulerRanges>)> {
         let vertices = lattice.vertices.positions.len();
         let unchanged = elements.labels.clone();
         let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices, self.context)?;
@@ -438,29 +440,29 @@ impl Rounds<'_> {
         };
         // Where the changes cost too many voxels all told, those that cost none remain.
         let context = self.context;
+        let euler = match self.euler.as_slice() {
+            [] => None,
+            wanted => Some(self.report.timed("topology", || topology.euler_ranges(&unchanged, wanted, context))?),
+        };
         for most_lost in [usize::MAX, 0] {
             let may_lose = |labels: &[Label], changed: &[u32], label: Label| {
                 voxels_lost(labels, changed, label).filter(|lost| *lost <= most_lost)
             };
-            let wanted = &self.euler;
-            let changed = self.report.timed("topology", || {
-                let euler = match wanted.as_slice() {
-                    [] => None,
-                    wanted => Some(topology.euler_ranges(&elements.labels, wanted, context)?),
-                };
-                topology.repair(&mut elements.labels, euler, context, may_lose)
-            })?;
+            let mut euler_then = euler.clone();
+            let changed = self
+                .report
+                .timed("topology", || topology.repair(&mut elements.labels, euler_then.as_mut(), context, may_lose))?;
             if changed == 0 {
                 break;
             }
             let after = self.recount(&found, &unchanged, lattice, elements)?;
             if !self.deficit(&after).is_worse_than(before) {
                 self.report.add("topology.relabelled", changed as f64);
-                return Ok(after);
+                return Ok((after, euler_then));
             }
             elements.labels.clone_from(&unchanged);
         }
-        Ok(found)
+        Ok((found, euler))
     }
 
     /// Relabels loose regions and pinched elements; returns the leaves to refine where that was not enough, and
@@ -484,8 +486,10 @@ impl Rounds<'_> {
         } else {
             found = after;
         }
-        found = self.relabel_pinches(lattice, elements, &neighbors, found, before)?;
-        found = self.fill_unseen(lattice, elements, &neighbors, found)?;
+        let (mut found, mut euler) = self.relabel_pinches(lattice, elements, &neighbors, found, before)?;
+        if let Some(after) = self.fill_unseen(lattice, elements, &neighbors, &found)? {
+            (found, euler) = (after, None);
+        }
         let context = self.context;
         let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices, context)?;
         let pinched = topology.pinched(&elements.labels, context)?;
@@ -498,7 +502,10 @@ impl Rounds<'_> {
                 marked[leaf] |= u32::from(lattice.levels[leaf]) < limit.finest;
             };
             topology.elements_around(&pinched).into_iter().for_each(&mut mark);
-            let euler = topology.euler_ranges(&elements.labels, &self.euler, context)?;
+            let euler = match euler {
+                Some(known) => known,
+                None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
+            };
             elements_at_differences(lattice, elements, &neighbors, &euler, context)?.into_iter().for_each(&mut mark);
             let regions = joinable_regions(elements, &regions, surplus);
             elements_at_gaps(lattice, elements, &neighbors, &regions, context)?.into_iter().for_each(&mut mark);
@@ -509,21 +516,21 @@ impl Rounds<'_> {
             return Ok((marked, found));
         }
         let (neighbors, found) = self.carve_pinches(lattice, elements, neighbors, found)?;
-        let found = self.fill_unseen(lattice, elements, &neighbors, found)?;
-        Ok((marked, found))
+        let after = self.fill_unseen(lattice, elements, &neighbors, &found)?;
+        Ok((marked, after.unwrap_or(found)))
     }
 
-    /// Fills regions without a voxel; returns the mismatches then.
+    /// Fills regions without a voxel; returns the mismatches then, where there were such regions.
     fn fill_unseen(
         &mut self,
         lattice: &RedGreenLattice,
         elements: &mut Elements,
         neighbors: &[[u32; 4]],
-        found: Vec<Mismatch>,
-    ) -> Result<Vec<Mismatch>> {
+        found: &[Mismatch],
+    ) -> Result<Option<Vec<Mismatch>>> {
         let unchanged = elements.labels.clone();
         let changed = fill_unseen_regions(lattice, elements, neighbors, self.context)?;
-        if changed == 0 { Ok(found) } else { self.recount(&found, &unchanged, lattice, elements) }
+        if changed == 0 { Ok(None) } else { self.recount(found, &unchanged, lattice, elements).map(Some) }
     }
 
     /// Regions of each label more than the image has, found there once.

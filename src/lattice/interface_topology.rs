@@ -344,14 +344,15 @@ impl<'a> InterfaceTopology<'a> {
     }
 
     /// Relabels elements until no change lowers the excess; returns how many elements changed. `voxels_lost` tells how
-    /// many voxels of their own elements lose that take a label, given those of all, or that they may not take it; `euler` are the Euler numbers that are to be kept, if any are.
+    /// many voxels of their own elements lose that take a label, given those of all, or that they may not take it; `euler` are the
+    /// Euler numbers now and those that are to be kept, if any are; they follow the changes.
     ///
     /// # Errors
     /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
     pub fn repair(
         &self,
         labels: &mut [Label],
-        mut euler: Option<EulerRanges>,
+        mut euler: Option<&mut EulerRanges>,
         context: &RunContext,
         voxels_lost: impl Fn(&[Label], &[u32], Label) -> Option<usize>,
     ) -> Result<usize> {
@@ -363,7 +364,7 @@ impl<'a> InterfaceTopology<'a> {
             if self.excess(vertex, labels) == 0 {
                 continue;
             }
-            let Some(change) = self.best_change(vertex, labels, euler.as_ref(), &voxels_lost) else { continue };
+            let Some(change) = self.best_change(vertex, labels, euler.as_deref(), &voxels_lost) else { continue };
             let concerned = self.vertices_of(&change.elements);
             changed += change.elements.len();
             change.elements.iter().for_each(|e| labels[*e as usize] = change.label);
