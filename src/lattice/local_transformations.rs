@@ -269,6 +269,15 @@ pub fn may_contract(mesh: &ImprovementMesh, from: u32, to: u32) -> bool {
 
 /// Merges `from` into `to` where all changed tets reach the threshold; [`may_contract`] has said yes.
 pub fn contract_edge(mesh: &mut ImprovementMesh, from: u32, to: u32, needed: &Threshold) -> bool {
+    let is_good = contraction_is_good(mesh, from, to, needed);
+    if is_good {
+        merge_into(mesh, from, to);
+    }
+    is_good
+}
+
+/// Whether [`contract_edge`] would merge two vertices: a question about their tets and the corners of these only.
+pub fn contraction_is_good(mesh: &ImprovementMesh, from: u32, to: u32, needed: &Threshold) -> bool {
     let place = |v: u32| mesh.points[if v == from { to } else { v } as usize];
     // Quality fails far more often than topology, and at the first tets.
     let is_good = |t: &u32| {
@@ -276,18 +285,17 @@ pub fn contract_edge(mesh: &mut ImprovementMesh, from: u32, to: u32, needed: &Th
         let [a, b, c, d] = tet;
         tet.contains(&to) || !part_fails([place(a), place(b), place(c), place(d)], mesh.part(*t), needed)
     };
-    if !mesh.ball(from).iter().all(is_good) || !contraction_is_safe(mesh, from, to) {
-        return false;
-    }
+    let stays = |t: &u32| !mesh.tets[*t as usize].contains(&to);
+    mesh.ball(from).iter().all(is_good) && contraction_is_safe(mesh, from, to) && mesh.ball(from).iter().any(stays)
+}
+
+/// Merges `from` into `to`, whatever comes of it.
+pub fn merge_into(mesh: &mut ImprovementMesh, from: u32, to: u32) {
     let old: Vec<u32> = mesh.ball(from).to_vec();
     let kept =
         old.iter().map(|t| (mesh.tets[*t as usize], mesh.labels[*t as usize])).filter(|(tet, _)| !tet.contains(&to));
     let new: Vec<_> = kept.map(|(tet, label)| (tet.map(|v| if v == from { to } else { v }), label)).collect();
-    if new.is_empty() {
-        return false;
-    }
     mesh.replace(&old, &new);
-    true
 }
 
 fn contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32) -> bool {

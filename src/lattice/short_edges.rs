@@ -13,6 +13,7 @@
 //! # Invariants
 //! The mesh conforms; no score falls below the wanted one that was not below before.
 
+use glam::DVec3;
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
@@ -20,12 +21,10 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::lattice::element_score::{Ball, Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
-use crate::lattice::local_transformations::{contract_edge, may_contract};
+use crate::lattice::local_transformations::{contraction_is_good, may_contract, merge_into};
+use crate::lattice::planned_batches::{PlannedChange, Touched, change_in_order};
 use crate::lattice::vertex_optimization::{plan_centering, plan_relaxation};
 use crate::mesh::numbering::TET_EDGES;
-
-/// Edges between two looks at whether the run is cancelled.
-const EDGES_PER_CHECK: usize = 256;
 
 /// What becomes of an edge that cannot be contracted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -48,41 +47,117 @@ pub fn contract_short_edges(
     others: Uncontracted,
     context: &RunContext,
 ) -> Result<usize> {
-    let mut contracted = 0;
     let all = (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096);
     let mut edges = short_edges(mesh, short, all.take_any_while(|_| !context.is_cancelled()));
     context.check()?;
+    let mut contracted = 0;
     for pass in 1..=passes {
-        // What changed nowhere near would fail again.
-        let mut touched: Vec<u32> = Vec::new();
-        // A vertex has many short edges, and one place to go.
-        let mut tried = FxHashSet::default();
-        for (at, (_, [a, b])) in edges.into_iter().enumerate() {
-            context.check_every(EDGES_PER_CHECK, at)?;
-            if mesh.shell(a, b).is_empty() {
-                continue;
-            }
-            let places = [a, b].map(|v| mesh.points[v as usize]);
-            if contract(mesh, a, b, wanted) {
-                contracted += 1;
-                touched.extend([a, b]);
-            } else if others == Uncontracted::Lengthen {
-                move_apart(mesh, [a, b], wanted, &mut tried);
-                touched
-                    .extend([a, b].iter().zip(places).filter(|(v, p)| mesh.points[**v as usize] != *p).map(|(v, _)| v));
-            }
-        }
-        if pass == passes || touched.is_empty() {
+        let mut sweep = Sweep { wanted, others, contracted: 0, touched: Vec::new(), tried: FxHashSet::default() };
+        change_in_order(mesh, &edges, &mut sweep, context)?;
+        contracted += sweep.contracted;
+        if pass == passes || sweep.touched.is_empty() {
             break;
         }
-        let near: Vec<u32> = touched.iter().flat_map(|v| mesh.ball(*v)).flat_map(|t| mesh.tets[*t as usize]).collect();
+        let touched = sweep.touched.iter();
+        let near: Vec<u32> = touched.flat_map(|v| mesh.ball(*v)).flat_map(|t| mesh.tets[*t as usize]).collect();
         edges = short_edges(mesh, short, mesh.tets_of(near).into_par_iter());
     }
     Ok(contracted)
 }
 
-/// Square of the length and ends of the short edges of some tets, the shortest first.
-fn short_edges(mesh: &ImprovementMesh, short: f64, tets: impl ParallelIterator<Item = u32>) -> Vec<(f64, [u32; 2])> {
+/// What becomes of an edge.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Contraction {
+    /// It is no more.
+    Gone,
+    /// The first end is merged into the second.
+    Merge(u32, u32),
+    /// It cannot be contracted.
+    Refused,
+}
+
+/// One sweep over short edges.
+struct Sweep {
+    wanted: f64,
+    others: Uncontracted,
+    contracted: usize,
+    /// Vertices of which something changed: what changed nowhere near would fail again.
+    touched: Vec<u32>,
+    /// Vertices that had their chance to move: a vertex has many short edges, and one place to go.
+    tried: FxHashSet<u32>,
+}
+
+/// What is to be done at an edge, and where its ends are to go if it can only be lengthened.
+struct Plan {
+    contraction: Contraction,
+    places: [Option<DVec3>; 2],
+}
+
+impl PlannedChange for Sweep {
+    type Item = [u32; 2];
+    type Plan = Plan;
+
+    fn vertices_of(&self, _: &ImprovementMesh, edge: &[u32; 2]) -> impl Iterator<Item = u32> {
+        edge.iter().copied()
+    }
+
+    fn plan(&self, mesh: &ImprovementMesh, edge: &[u32; 2]) -> Plan {
+        let contraction = contraction_of(mesh, *edge, self.wanted);
+        let is_moved = contraction == Contraction::Refused && self.others == Uncontracted::Lengthen;
+        let may_move = |v: &u32| is_moved && !self.tried.contains(v);
+        let places = edge.map(|v| Some(v).filter(may_move).and_then(|v| better_place(mesh, v, self.wanted)));
+        Plan { contraction, places }
+    }
+
+    fn change(&mut self, mesh: &mut ImprovementMesh, edge: &[u32; 2], plan: Option<Plan>, touched: &mut Touched) {
+        let contraction =
+            plan.as_ref().map_or_else(|| contraction_of(mesh, *edge, self.wanted), |plan| plan.contraction);
+        match contraction {
+            Contraction::Gone => (),
+            Contraction::Merge(from, to) => {
+                touched.mark(mesh, from);
+                merge_into(mesh, from, to);
+                self.contracted += 1;
+                self.touched.extend(edge);
+            }
+            Contraction::Refused if self.others == Uncontracted::Lengthen => {
+                self.move_apart(mesh, *edge, plan.map(|plan| plan.places), touched);
+            }
+            Contraction::Refused => (),
+        }
+    }
+}
+
+impl Sweep {
+    /// Lengthens an edge by moving its ends to the better places that are planned or looked for now.
+    fn move_apart(
+        &mut self,
+        mesh: &mut ImprovementMesh,
+        edge: [u32; 2],
+        mut planned: Option<[Option<DVec3>; 2]>,
+        touched: &mut Touched,
+    ) {
+        for (end, v) in edge.into_iter().enumerate() {
+            if !self.tried.insert(v) {
+                continue;
+            }
+            let target = planned.map_or_else(|| better_place(mesh, v, self.wanted), |places| places[end]);
+            let from = mesh.points[edge[1 - end] as usize];
+            if let Some(place) = target
+                && place.distance_squared(from) > mesh.points[v as usize].distance_squared(from)
+            {
+                touched.mark(mesh, v);
+                mesh.move_vertex(v, place);
+                self.touched.push(v);
+                // The other end sees this one elsewhere.
+                planned = None;
+            }
+        }
+    }
+}
+
+/// Ends of the short edges of some tets, the shortest first.
+fn short_edges(mesh: &ImprovementMesh, short: f64, tets: impl ParallelIterator<Item = u32>) -> Vec<[u32; 2]> {
     let short_edge = |t: u32| {
         let tet = mesh.tets[t as usize];
         let corners = mesh.corners(t);
@@ -97,39 +172,31 @@ fn short_edges(mesh: &ImprovementMesh, short: f64, tets: impl ParallelIterator<I
     let mut edges: Vec<(f64, [u32; 2])> = mesh_tets.filter_map(short_edge).collect();
     edges.sort_unstable_by(|l, r| l.0.total_cmp(&r.0).then(l.1.cmp(&r.1)));
     edges.dedup_by_key(|(_, ends)| *ends);
-    edges
+    edges.into_iter().map(|(_, ends)| ends).collect()
 }
 
-/// Merges one end of an edge into the other, where that is good enough.
-fn contract(mesh: &mut ImprovementMesh, a: u32, b: u32, wanted: f64) -> bool {
-    [(a, b), (b, a)].into_iter().any(|(from, to)| {
-        may_contract(mesh, from, to) && {
-            let needed = Threshold::of(mesh.lowest(mesh.ball(from)).min(wanted));
-            contract_edge(mesh, from, to, &needed)
+/// Which end of an edge can be merged into the other, where that is good enough.
+fn contraction_of(mesh: &ImprovementMesh, [a, b]: [u32; 2], wanted: f64) -> Contraction {
+    if mesh.shell(a, b).is_empty() {
+        return Contraction::Gone;
+    }
+    let is_good = |(from, to): &(u32, u32)| {
+        may_contract(mesh, *from, *to) && {
+            let needed = Threshold::of(mesh.lowest(mesh.ball(*from)).min(wanted));
+            contraction_is_good(mesh, *from, *to, &needed)
         }
-    })
+    };
+    let good = [(a, b), (b, a)].into_iter().find(is_good);
+    good.map_or(Contraction::Refused, |(from, to)| Contraction::Merge(from, to))
 }
 
-/// Lengthens an edge by moving its ends to better places, where no score falls below the wanted one that was not below; those
-/// that have been `tried` stay.
-fn move_apart(mesh: &mut ImprovementMesh, [a, b]: [u32; 2], wanted: f64, tried: &mut FxHashSet<u32>) {
+/// A place for an end of an edge where no score falls below the wanted one that was not below.
+fn better_place(mesh: &ImprovementMesh, v: u32, wanted: f64) -> Option<DVec3> {
     let mut ball = Ball::default();
-    for (v, other) in [(a, b), (b, a)] {
-        if !tried.insert(v) {
-            continue;
-        }
-        let bound = Threshold::of(wanted);
-        let target = if mesh.is_on_surface(v) {
-            plan_relaxation(mesh, v, &bound, &mut ball)
-        } else {
-            plan_centering(mesh, v, wanted, &mut ball)
-        };
-        let from = mesh.points[other as usize];
-        if let Some(place) = target
-            && place.distance_squared(from) > mesh.points[v as usize].distance_squared(from)
-        {
-            mesh.move_vertex(v, place);
-        }
+    if mesh.is_on_surface(v) {
+        plan_relaxation(mesh, v, &Threshold::of(wanted), &mut ball)
+    } else {
+        plan_centering(mesh, v, wanted, &mut ball)
     }
 }
 

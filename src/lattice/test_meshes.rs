@@ -37,6 +37,13 @@ pub fn with_tets<T>(
     work(ImprovementMesh::new(&mut mesh, &sources, surface))
 }
 
+/// Points and tets of a helix of tets, each beside the next, of two labels by turns.
+pub fn helix(count: u32) -> (Vec<DVec3>, Vec<([u32; 4], Label)>) {
+    let at = |i: f64| DVec3::new(0.5 * (2.3 * i).cos(), 0.5 * (2.3 * i).sin(), 0.3 * i);
+    let tet = |i: u32| ([i, i + 1, i + 2, i + 3], Label(1 + (i % 2) as u16));
+    ((0..count + 3).map(|i| at(f64::from(i))).collect(), (0..count).map(tet).collect())
+}
+
 /// Works on four tets around the edge 0 1 between points of a ball of 5 mm, two outside of it (label 2), two inside (label 1), in
 /// the given order of these; 0 and 1 are `half` rad from its top, the vertices 2 and 3 across 0.35 rad.
 pub fn with_edge_on_ball<T>(half: f64, order: [usize; 4], work: impl FnOnce(ImprovementMesh) -> T) -> T {
