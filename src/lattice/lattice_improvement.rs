@@ -43,6 +43,7 @@ use crate::lattice::element_score::{Ball, Part, Threshold, tet_fails};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::iterated_search::{IteratedSearch, Perturbations, Reach};
 use crate::lattice::local_transformations::{TransformationCounts, loosen_scaffold, transform};
+use crate::lattice::planned_batches::{PlannedChange, Touched, change_in_order};
 use crate::lattice::progress_shares;
 use crate::lattice::scaffold::STIFF_SCAFFOLD_ANGLE;
 use crate::lattice::short_edges::{Uncontracted, contract_short_edges};
@@ -50,7 +51,7 @@ use crate::lattice::subvoxel_surface::SubvoxelSurface;
 use crate::lattice::surface_approach::{ApproachBounds, Around, Ways, approach_surface};
 use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::surface_relabelling::{Causes, RelabellingBounds, relabel_beyond_surface};
-use crate::lattice::vertex_optimization::{optimize_vertex, plan_relaxation, relax_inside};
+use crate::lattice::vertex_optimization::{optimize_vertex, plan_inside, plan_relaxation, relax_inside};
 use crate::lattice::volume_offsets::{move_by_offsets, update_offsets};
 use crate::lattice::voxel_cleanup::CleanImage;
 
@@ -371,15 +372,44 @@ fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunC
     let mut low: Vec<u32> = candidates.iter().flat_map(|t| work.tets[*t as usize]).collect();
     low.sort_unstable();
     low.dedup();
-    for (at, v) in low.into_iter().enumerate() {
-        context.check_every(VERTICES_PER_CHECK, at)?;
-        if relax_inside(work, v, wanted) {
-            candidates.extend(work.ball(v));
-        }
-    }
+    let mut inner = InnerRelaxation { wanted, near: Vec::new() };
+    change_in_order(work, &low, &mut inner, context)?;
+    candidates.append(&mut inner.near);
     candidates.sort_unstable();
     candidates.dedup();
     low_among(work, candidates.into_par_iter(), wanted, context)
+}
+
+/// Moves of vertices inside of a label.
+struct InnerRelaxation {
+    /// Score above which balls stay as they are.
+    wanted: f64,
+    /// The tets of those that moved.
+    near: Vec<u32>,
+}
+
+impl PlannedChange for InnerRelaxation {
+    type Item = u32;
+    type Plan = Option<DVec3>;
+
+    fn vertices_of(&self, _: &ImprovementMesh, v: &u32) -> impl Iterator<Item = u32> {
+        std::iter::once(*v)
+    }
+
+    fn plan(&self, mesh: &ImprovementMesh, v: &u32) -> Option<DVec3> {
+        plan_inside(mesh, *v, self.wanted, &mut Ball::default())
+    }
+
+    fn change(&mut self, mesh: &mut ImprovementMesh, v: &u32, plan: Option<Option<DVec3>>, touched: &mut Touched) {
+        let is_moved = match plan {
+            Some(place) => place.inspect(|place| mesh.move_vertex(*v, *place)).is_some(),
+            None => relax_inside(mesh, *v, self.wanted),
+        };
+        if is_moved {
+            touched.mark(mesh, *v);
+            self.near.extend(mesh.ball(*v));
+        }
+    }
 }
 
 /// Searches around the tets below the wanted score, also through worse meshes; returns how many places became better, and the

@@ -113,17 +113,30 @@ pub fn relax_inside(mesh: &mut ImprovementMesh, v: u32, bound: f64) -> bool {
         return false;
     }
     mesh.with_ball(v, |mesh, ball| {
-        let place = mesh.points[v as usize];
-        let before = ball.score(place);
-        if before >= bound {
-            return false;
-        }
-        let mean = ball.center().unwrap_or(place);
-        let needed = Threshold::of(before);
-        let found = steps(place, mean, &[0.8, 0.4, 0.2])
-            .find(|trial| ball.score_above(*trial, &needed).is_some_and(|score| score > before));
-        found.inspect(|trial| mesh.move_vertex(v, *trial)).is_some()
+        let found = place_inside(mesh, v, bound, ball);
+        found.inspect(|place| mesh.move_vertex(v, *place)).is_some()
     })
+}
+
+/// Plans the move of [`relax_inside`]; `None` where the vertex stays. `ball` is a scratch buffer.
+pub fn plan_inside(mesh: &ImprovementMesh, v: u32, bound: f64, ball: &mut Ball) -> Option<DVec3> {
+    if mesh.fixed[v as usize] || mesh.is_on_surface(v) {
+        return None;
+    }
+    mesh.gather(v, ball);
+    place_inside(mesh, v, bound, ball)
+}
+
+fn place_inside(mesh: &ImprovementMesh, v: u32, bound: f64, ball: &mut Ball) -> Option<DVec3> {
+    let place = mesh.points[v as usize];
+    let before = ball.score(place);
+    if before >= bound {
+        return None;
+    }
+    let mean = ball.center().unwrap_or(place);
+    let needed = Threshold::of(before);
+    steps(place, mean, &[0.8, 0.4, 0.2])
+        .find(|trial| ball.score_above(*trial, &needed).is_some_and(|score| score > before))
 }
 
 /// Plans the move of an inner vertex towards the middle of its ball, as far as its score stays at `wanted` or where it is,
