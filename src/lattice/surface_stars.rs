@@ -5,7 +5,8 @@
 //!    parallel, and appends them to one array; when most of that is out of date the array is made anew.
 //! 2. Stale vertices get the smallest color that no vertex they share a tet with has: vertices of one color can be moved at
 //!    the same time, since none is in the ball of another. Sweeps take the colors of a block of vertices after each other,
-//!    then those of the next block.
+//!    then those of the next block. Whom a vertex shares a tet with is found in parallel, for a block of vertices; then they are
+//!    colored in order.
 //!
 //! # Invariants
 //! Stars and colors depend on the mesh and on the replacements so far, not on the number of threads.
@@ -31,8 +32,29 @@ const FACES_OF_VERTEX: usize = 8;
 /// Vertices per parallel work item.
 const CHUNK: usize = 1 << 10;
 
+/// Vertices per parallel work item whose neighbours are looked for before they are colored.
+const COLORED_CHUNK: usize = 1 << 8;
+
 /// Vertices of a block: what is around them stays in the cache while their colors follow each other.
 const BLOCK: usize = 1 << 14;
+
+/// A set of colors.
+#[derive(Debug, Clone, Copy, Default)]
+struct Colors([u64; 4]);
+
+impl Colors {
+    #[inline]
+    fn add(&mut self, color: u8) {
+        self.0[usize::from(color / 64)] |= 1 << (color % 64);
+    }
+
+    /// The smallest color that is not in the set. A vertex with that many neighbours of all colors keeps none, and a sweep leaves
+    /// it out.
+    fn first_free(self) -> u8 {
+        let free = self.0.iter().enumerate().find(|(_, word)| **word != u64::MAX);
+        free.map_or(UNCOLORED, |(at, word)| 64 * at as u8 + word.trailing_ones() as u8)
+    }
+}
 
 /// Surface faces by vertex, and colors.
 #[derive(Debug, Clone, Default)]
@@ -108,20 +130,54 @@ impl SurfaceStars {
 
     fn color(&mut self, mesh: &ImprovementMesh, stale: &[u32], context: &RunContext) -> Result<()> {
         stale.iter().for_each(|v| self.colors[*v as usize] = UNCOLORED);
-        for (at, &v) in stale.iter().enumerate() {
-            context.check_every(CHUNK, at)?;
-            let mut taken = [0u64; 4];
-            for t in mesh.ball(v) {
-                for w in mesh.tets[*t as usize] {
-                    let color = self.colors[w as usize];
-                    taken[usize::from(color / 64)] |= 1 << (color % 64);
+        if context.threads() == 1 {
+            let mut open = Vec::new();
+            for (at, &v) in stale.iter().enumerate() {
+                context.check_every(CHUNK, at)?;
+                // All before it have their colors.
+                self.colors[v as usize] = self.colors_beside(mesh, v, v, &mut open).first_free();
+            }
+            return Ok(());
+        }
+        for block in stale.chunks(BLOCK) {
+            let of_chunk = |vertices: &[u32]| {
+                context.check()?;
+                let mut open = Vec::new();
+                let beside = |v: &u32| {
+                    let first = open.len();
+                    (self.colors_beside(mesh, *v, block[0], &mut open), open.len() - first)
+                };
+                Ok((vertices.iter().map(beside).collect::<Vec<(Colors, usize)>>(), open))
+            };
+            let parts: Vec<(Vec<(Colors, usize)>, Vec<u32>)> =
+                block.par_chunks(COLORED_CHUNK).map(of_chunk).collect::<Result<_>>()?;
+            for (vertices, (beside, open)) in block.chunks(COLORED_CHUNK).zip(parts) {
+                let mut open = open.as_slice();
+                for (v, (mut taken, count)) in vertices.iter().zip(beside) {
+                    let (own, rest) = open.split_at(count);
+                    own.iter().for_each(|w| taken.add(self.colors[*w as usize]));
+                    self.colors[*v as usize] = taken.first_free();
+                    open = rest;
                 }
             }
-            // A vertex with that many neighbours of all colors keeps none, and a sweep leaves it out.
-            let free = taken.iter().enumerate().find(|(_, word)| **word != u64::MAX);
-            self.colors[v as usize] = free.map_or(UNCOLORED, |(at, word)| 64 * at as u8 + word.trailing_ones() as u8);
         }
         Ok(())
+    }
+
+    /// Colors of the vertices around one; appends those from `first` up to it that may have none yet, each once.
+    fn colors_beside(&self, mesh: &ImprovementMesh, v: u32, first: u32, open: &mut Vec<u32>) -> Colors {
+        let begin = open.len();
+        let mut taken = Colors::default();
+        for t in mesh.ball(v) {
+            for w in mesh.tets[*t as usize] {
+                let color = self.colors[w as usize];
+                taken.add(color);
+                if color == UNCOLORED && (first..v).contains(&w) && !open[begin..].contains(&w) {
+                    open.push(w);
+                }
+            }
+        }
+        taken
     }
 
     /// The surface vertices with tets by block and color, in order.
@@ -151,6 +207,8 @@ mod tests {
     use crate::lattice::boundary_targets::SourcePoints;
     use crate::lattice::candidate_mesh::CandidateMesh;
     use crate::lattice::subvoxel_surface::SubvoxelSurface;
+    use crate::lattice::test_images::voxel_image;
+    use crate::lattice::test_meshes::{helix, with_tets};
     use glam::{DMat3, DVec3};
 
     fn agrees(stars: &SurfaceStars, mesh: &ImprovementMesh) {
@@ -165,6 +223,25 @@ mod tests {
                 assert!(beside.filter(|w| *w != v).all(|w| !set.contains(&w)));
             }
         }
+    }
+
+    #[test]
+    fn colors_are_those_of_one_thread() {
+        let (points, tets) = helix(3000);
+        let image = voxel_image(4, |_| 1);
+        let colors = |threads: usize| {
+            with_tets(points.clone(), &tets, &image, |mut mesh| {
+                let context = RunContext::with_threads(threads).unwrap();
+                mesh.refresh_stars(&context).unwrap();
+                agrees(mesh.stars(), &mesh);
+                mesh.relabel(1500, Label(3));
+                mesh.replace(&[700], &[]);
+                mesh.refresh_stars(&context).unwrap();
+                mesh.stars().colors.clone()
+            })
+        };
+        assert!(colors(1).iter().filter(|color| **color != UNCOLORED).count() > 2000);
+        assert_eq!(colors(1), colors(3));
     }
 
     #[test]
