@@ -81,27 +81,34 @@ pub fn move_guarded(
     };
     let mut bad: Vec<Vec<u32>> = guarded.iter().map(|group| spoiled(points, group)).collect();
     let mut round = 0;
+    let mut is_moved = vec![false; count];
     context.check()?;
     while bad.iter().any(|b| !b.is_empty()) {
-        let of_group = |(group, bad): (&GuardedTets, &Vec<u32>)| -> Vec<VertexId> {
-            bad.iter().flat_map(|t| group.tets[*t as usize]).collect()
-        };
-        let mut moved: Vec<VertexId> = guarded.iter().zip(&bad).flat_map(of_group).collect();
-        moved.sort_unstable();
-        moved.dedup();
-        moved.retain(|v| factors.get(v.index()).is_some_and(|f| *f > 0.0));
+        let mut moved: Vec<VertexId> = Vec::new();
+        for v in guarded.iter().zip(&bad).flat_map(|(group, bad)| bad.iter().flat_map(|t| group.tets[*t as usize])) {
+            if factors.get(v.index()).is_some_and(|f| *f > 0.0) && !is_moved[v.index()] {
+                is_moved[v.index()] = true;
+                moved.push(v);
+            }
+        }
         for v in &moved {
             let factor = &mut factors[v.index()];
             *factor = if round < HALVINGS { *factor / 2.0 } else { 0.0 };
             points[v.index()] = before[v.index()] + displacements[v.index()] * *factor;
         }
         let still_bad = |group: &GuardedTets| -> Vec<u32> {
-            let mut touched: Vec<u32> = moved.iter().flat_map(|v| group.incidence.of(v.index())).copied().collect();
-            touched.sort_unstable();
-            touched.dedup();
-            context.until_cancelled(touched).filter(|t| is_spoiled(points, group, *t)).collect()
+            // Each tet once, at the first of its vertices that moved.
+            let is_first = |t: u32, v: VertexId| {
+                group.tets[t as usize].into_iter().find(|w| is_moved.get(w.index()) == Some(&true)) == Some(v)
+            };
+            let at_vertex = |v: &VertexId| {
+                let tets = group.incidence.of(v.index()).iter().copied();
+                tets.filter(|t| is_first(*t, *v) && is_spoiled(points, group, *t)).collect::<Vec<u32>>()
+            };
+            context.until_cancelled(moved.par_iter().with_min_len(64)).flat_map_iter(at_vertex).collect()
         };
         bad = guarded.iter().map(still_bad).collect();
+        moved.iter().for_each(|v| is_moved[v.index()] = false);
         round += 1;
         context.check()?;
     }
