@@ -47,6 +47,9 @@ const APEXES: [IVec3; 6] = [IVec3::NEG_X, IVec3::X, IVec3::NEG_Y, IVec3::Y, IVec
 /// Elements per parallel work item.
 const CHUNK: usize = 1 << 14;
 
+/// Cubes per parallel work item.
+const CUBE_CHUNK: usize = 256;
+
 /// Vertices that a chunk remembers while it lists its own: some times those of a layer of elements.
 const RECENT: usize = 4096;
 
@@ -327,7 +330,7 @@ pub fn merged_elements(
     let mut result = MergedElements {
         hexahedra: Vec::new(),
         pyramids: Vec::new(),
-        is_kept: mesh.tets.iter().map(|t| !t.iter().any(is_center)).collect(),
+        is_kept: mesh.tets.par_iter().with_min_len(CHUNK).map(|t| !t.iter().any(is_center)).collect(),
         centers: Vec::new(),
     };
     for (c, cube) in cubes.iter().enumerate() {
@@ -360,14 +363,14 @@ fn give_up_bad_cubes(
         }
     };
     loop {
+        let now: &[bool] = is_merged;
         let spoils = |c: &usize| {
             let cube = &cubes[*c];
-            is_merged[*c]
+            now[*c]
                 && (quality(ElementKind::Hexahedron, &cube.corners) < min_scaled_jacobian
-                    || pyramids_of(cube, cube_of, is_merged)
-                        .any(|p| quality(ElementKind::Pyramid, &p) < min_scaled_jacobian))
+                    || pyramids_of(cube, cube_of, now).any(|p| quality(ElementKind::Pyramid, &p) < min_scaled_jacobian))
         };
-        let all = (0..cubes.len()).into_par_iter().with_min_len(1024);
+        let all = (0..cubes.len()).into_par_iter().with_min_len(CUBE_CHUNK);
         let spoiled: Vec<usize> = context.until_cancelled(all).filter(spoils).collect();
         context.check()?;
         if spoiled.is_empty() {

@@ -51,6 +51,9 @@ const MAX_SOLVER_ITERATIONS: usize = 60;
 /// Stiffness of a vertex that must not move, in units of the flexibility.
 const HELD: f64 = 1e6;
 
+/// Vertices per parallel work item.
+const VERTEX_CHUNK: usize = 4096;
+
 /// What the deformation did.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct DeformationSummary {
@@ -158,14 +161,27 @@ struct Springs {
 }
 
 impl Springs {
-    /// Sets the spring of a source point; `diagonal` is its block without one.
-    fn set(&mut self, at: usize, row: usize, pull: f64, diagonal: &DMat3) {
-        if self.pulls[at] != pull {
-            self.pulls[at] = pull;
-            self.matrix.set_diagonal(row, *diagonal + DMat3::from_diagonal(DVec3::splat(pull)));
+    /// Sets the springs of the source points; `diagonals` are their blocks without one.
+    fn set(&mut self, sources: &SourcePoints, pulls: &[f64], diagonals: &[DMat3]) {
+        // Most stay as they are.
+        for at in (0..pulls.len()).filter(|at| self.pulls[*at] != pulls[*at]).collect::<Vec<usize>>() {
+            let row = sources.vertices[at].index();
+            self.pulls[at] = pulls[at];
+            self.matrix.set_diagonal(row, diagonals[at] + DMat3::from_diagonal(DVec3::splat(pulls[at])));
             self.preconditioner.refresh(&self.matrix, row);
         }
     }
+}
+
+/// Sets the value of each source point, of one per vertex: its position, its vertex and the value are given.
+fn for_each_source<T: Send>(sources: &SourcePoints, values: &mut [T], set: impl Fn(usize, usize, &mut T) + Sync) {
+    values.par_chunks_mut(VERTEX_CHUNK).enumerate().for_each(|(chunk, values)| {
+        let begin = chunk * VERTEX_CHUNK;
+        let first = sources.vertices.partition_point(|v| v.index() < begin);
+        let end = begin + values.len();
+        let own = sources.vertices[first..].iter().take_while(|v| v.index() < end);
+        own.zip(first..).for_each(|(v, at)| set(at, v.index(), &mut values[v.index() - begin]));
+    });
 }
 
 fn tets_at_sources(mesh: &CandidateMesh, sources: &SourcePoints) -> Vec<u32> {
@@ -190,20 +206,23 @@ fn displacements_of(
     let mut right = vec![DVec3::ZERO; mesh.points.len()];
     let mut residual = Vec::new();
     for attempt in 0..=input.options.max_confidence_iterations {
-        for (at, vertex) in input.sources.vertices.iter().enumerate() {
-            let (row, pull) = (vertex.index(), input.options.flexibility * confidence[at]);
-            let weaker = springs.pulls[at] - pull;
-            springs.set(at, row, pull, &body.diagonals[at]);
-            let force = if body.held[row] { DVec3::ZERO } else { wanted[at].unwrap_or(DVec3::ZERO) * pull };
-            if attempt > 0 {
-                // Only the springs change: a product with the whole matrix costs as much as an iteration.
-                residual[row] += force - right[row] + weaker * displacements[row];
-            }
-            right[row] = force;
-        }
+        let pulls: Vec<f64> = confidence.iter().map(|c| input.options.flexibility * c).collect();
+        let force = |at: usize, row: usize| {
+            if body.held[row] { DVec3::ZERO } else { wanted[at].unwrap_or(DVec3::ZERO) * pulls[at] }
+        };
         if attempt == 0 {
+            for_each_source(input.sources, &mut right, |at, row, right| *right = force(at, row));
             residual = right.clone();
+        } else {
+            // Only the springs change: a product with the whole matrix costs as much as an iteration. The forces of the springs
+            // are added first.
+            for_each_source(input.sources, &mut residual, |at, row, residual| {
+                let weaker = springs.pulls[at] - pulls[at];
+                *residual += force(at, row) - right[row] + weaker * displacements[row];
+            });
+            for_each_source(input.sources, &mut right, |at, row, right| *right = force(at, row));
         }
+        springs.set(input.sources, &pulls, &body.diagonals);
         let rule = StoppingRule { relative_tolerance: RELATIVE_TOLERANCE, max_iterations: MAX_SOLVER_ITERATIONS };
         let Springs { matrix, preconditioner, .. } = springs;
         let unknowns = [displacements.as_mut_slice(), residual.as_mut_slice()];
@@ -298,13 +317,14 @@ fn scale_confidence(
         tet_fails([a, b, c, d], &bound) && tet_score([a, b, c, d]) < tet_score(tet.map(|v| mesh.points[v.index()]))
     };
     let spoiled: Vec<u32> = body.near.par_iter().with_min_len(1024).filter(is_spoiled).copied().collect();
-    let mut vertices: Vec<VertexId> = spoiled.iter().flat_map(|t| mesh.tets[*t as usize]).collect();
-    vertices.sort_unstable();
-    vertices.dedup();
+    let mut is_scaled = vec![false; confidence.len()];
     let mut any = false;
-    for at in vertices.into_iter().filter_map(|v| input.sources.position_of(v)) {
-        confidence[at] *= input.options.confidence_factor;
-        any = true;
+    let vertices = spoiled.iter().flat_map(|t| mesh.tets[*t as usize]);
+    for at in vertices.filter_map(|v| input.sources.position_of(v)) {
+        if !std::mem::replace(&mut is_scaled[at], true) {
+            confidence[at] *= input.options.confidence_factor;
+            any = true;
+        }
     }
     any
 }
