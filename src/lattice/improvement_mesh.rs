@@ -11,6 +11,7 @@
 //! About 54 bytes per vertex, 24 of them for its place in the lattice, and 20 per tet beside the mesh.
 
 use glam::DVec3;
+use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use crate::context::RunContext;
@@ -23,9 +24,13 @@ use crate::lattice::element_score::{Ball, LowestScore, Part, Threshold, part_fai
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::lattice::surface_stars::SurfaceStars;
 use crate::mesh::numbering::TET_FACES;
+use crate::mesh::renumbering::gathered;
 
 /// Rows that are asked for at once: a vertex inside has about 24 tets.
 const ROWS_AT_ONCE: usize = 32;
+
+/// Rows per parallel work item.
+const CHUNK: usize = 4096;
 
 /// A dead slot.
 const DEAD: [u32; 4] = [u32::MAX; 4];
@@ -96,7 +101,8 @@ impl<'a> ImprovementMesh<'a> {
     pub fn new(mesh: &mut CandidateMesh, sources: &SourcePoints, surface: SubvoxelSurface<'a>) -> Self {
         let mut points = std::mem::take(&mut mesh.points);
         let scaffold = std::mem::take(&mut mesh.scaffold);
-        let tets: Vec<[u32; 4]> = mesh.tets.iter().chain(&scaffold.tets).map(|t| t.map(|v| v.0)).collect();
+        let rows = mesh.tets.par_iter().chain(&scaffold.tets).with_min_len(CHUNK);
+        let tets: Vec<[u32; 4]> = rows.map(|t| t.map(|v| v.0)).collect();
         let mut labels = std::mem::take(&mut mesh.tet_labels);
         labels.resize(tets.len(), Label::BACKGROUND);
         mesh.tets = Vec::new();
@@ -132,19 +138,17 @@ impl<'a> ImprovementMesh<'a> {
 
     /// Gives the tets back, without dead slots, the scaffold and unused vertices.
     pub fn finish(self, mesh: &mut CandidateMesh) {
+        let all = |count: usize| (0..count as u32).into_par_iter().with_min_len(CHUNK);
+        let is_used = |v: &u32| self.ball(*v).iter().any(|t| self.part(*t) == Part::Mesh);
+        let vertices: Vec<u32> = all(self.points.len()).filter(is_used).collect();
         let mut renumbered = vec![u32::MAX; self.points.len()];
-        for (v, ball) in self.balls.iter().enumerate() {
-            if ball.iter().any(|t| self.part(*t) == Part::Mesh) {
-                renumbered[v] = mesh.points.len() as u32;
-                mesh.points.push(self.points[v]);
-            }
-        }
-        for (tet, label) in self.tets.iter().zip(&self.labels) {
-            if *tet != DEAD && !label.is_background() {
-                mesh.tets.push(tet.map(|v| VertexId(renumbered[v as usize])));
-                mesh.tet_labels.push(*label);
-            }
-        }
+        vertices.iter().zip(0..).for_each(|(old, new)| renumbered[*old as usize] = new);
+        mesh.points = gathered(&self.points, &vertices);
+        let is_kept = |t: &u32| self.is_live(*t) && self.part(*t) == Part::Mesh;
+        let tets: Vec<u32> = all(self.tets.len()).filter(is_kept).collect();
+        let row = |t: &u32| self.tets[*t as usize].map(|v| VertexId(renumbered[v as usize]));
+        mesh.tets = tets.par_iter().with_min_len(CHUNK).map(row).collect();
+        mesh.tet_labels = gathered(&self.labels, &tets);
         mesh.renumber_records(&renumbered);
     }
 
