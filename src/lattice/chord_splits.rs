@@ -22,7 +22,7 @@
 //! The mesh conforms. No score falls below the bound that was not below before.
 //!
 //! # Cost
-//! One distance per surface edge and face, in parallel; the splits are few.
+//! One distance per surface edge and face, in parallel. The splits are planned in parallel and made one after another.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -30,9 +30,10 @@ use rayon::prelude::*;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::Label;
-use crate::lattice::element_score::Threshold;
+use crate::lattice::element_score::{Ball, Threshold};
 use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace};
 use crate::lattice::local_transformations::{farthest_on_edge, insert_between, sides_of_edge};
+use crate::lattice::planned_batches::{PlannedChange, Touched, change_in_order};
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::surface_edge_flips::flip_surface_edge;
 
@@ -58,9 +59,6 @@ enum Places {
     /// Where it is farthest off.
     Farthest,
 }
-
-/// Chords between two looks at whether the run is cancelled.
-const CHORDS_PER_CHECK: usize = 256;
 
 /// What is split, by its vertices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -96,12 +94,43 @@ pub enum Start {
 /// # Errors
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn split_chords(mesh: &mut ImprovementMesh, tolerance: f64, bound: f64, context: &RunContext) -> Result<usize> {
-    let mut split = 0;
-    for (at, (_, chord)) in chords(mesh, tolerance, context)?.into_iter().enumerate() {
-        context.check_every(CHORDS_PER_CHECK, at)?;
-        split += usize::from(insert_in_chord(mesh, chord, bound, (Start::Nearer, Towards::Crease)).is_some());
+    let far: Vec<Chord> = chords(mesh, tolerance, context)?.into_iter().map(|(_, chord)| chord).collect();
+    let mut splits = Splits { bound, made: 0 };
+    change_in_order(mesh, &far, &mut splits, context)?;
+    Ok(splits.made)
+}
+
+/// Splits of chords.
+struct Splits {
+    bound: f64,
+    made: usize,
+}
+
+impl PlannedChange for Splits {
+    type Item = Chord;
+    type Plan = Option<Insertion>;
+
+    fn vertices_of(&self, _: &ImprovementMesh, chord: &Chord) -> impl Iterator<Item = u32> {
+        chord.corners().iter().copied()
     }
-    Ok(split)
+
+    fn plan(&self, mesh: &ImprovementMesh, chord: &Chord) -> Option<Insertion> {
+        Insertion::plan(mesh, *chord, self.bound, Towards::Crease)
+    }
+
+    fn change(
+        &mut self,
+        mesh: &mut ImprovementMesh,
+        chord: &Chord,
+        plan: Option<Option<Insertion>>,
+        touched: &mut Touched,
+    ) {
+        if let Some(insertion) = plan.unwrap_or_else(|| self.plan(mesh, chord)) {
+            // What is taken back leaves tets in another order.
+            touched.mark_tets(mesh, &insertion.tets);
+            self.made += usize::from(insertion.make(mesh, *chord, self.bound, Start::Nearer));
+        }
+    }
 }
 
 /// Flips a chord that is an edge.
@@ -222,10 +251,53 @@ pub fn insert_in_chord(
     bound: f64,
     (begin, towards): (Start, Towards),
 ) -> Option<(u32, [DVec3; 2])> {
-    let (tets, sides, ends) = match chord {
+    let insertion = Insertion::plan(mesh, chord, bound, towards)?;
+    let ends = insertion.ends;
+    insertion.make(mesh, chord, bound, begin).then(|| (mesh.points.len() as u32 - 1, ends))
+}
+
+/// A vertex that splits a chord.
+struct Insertion {
+    /// The tets that it splits.
+    tets: Vec<u32>,
+    sides: Vec<Side>,
+    /// Where it begins, and where it is to go.
+    ends: [DVec3; 2],
+    /// The lowest score of the tets.
+    before: f64,
+    /// Where it goes at once, the farthest place where no score falls below the bound that was not below before.
+    place: Option<DVec3>,
+}
+
+impl Insertion {
+    fn plan(mesh: &ImprovementMesh, chord: Chord, bound: f64, towards: Towards) -> Option<Self> {
+        let (tets, sides, ends) = chord_at(mesh, chord, towards)?;
+        let before = mesh.lowest(&tets);
+        let mut ball = Ball::default();
+        mesh.gather_split(&tets, chord.corners(), &mut ball);
+        let place = first_place(&mut ball, ends, &Threshold::of(before.min(bound)));
+        Some(Self { tets, sides, ends, before, place })
+    }
+
+    /// Whether the chord is split now.
+    fn make(self, mesh: &mut ImprovementMesh, chord: Chord, bound: f64, begin: Start) -> bool {
+        let is_good = |mesh: &mut ImprovementMesh, m: u32| {
+            self.place.iter().for_each(|place| mesh.move_vertex(m, *place));
+            match begin {
+                Start::Nearer => self.place.is_some() && is_upright(mesh, m),
+                Start::Anywhere => self.place.is_some() || mesh.lowest(mesh.ball(m)) >= bound.min(self.before),
+            }
+        };
+        insert_between(mesh, chord.corners(), &self.tets, self.ends[0], self.sides, is_good)
+    }
+}
+
+/// The tets of a chord, what meets in it, a place on it, and where the surface is that it belongs to.
+fn chord_at(mesh: &ImprovementMesh, chord: Chord, towards: Towards) -> Option<(Vec<u32>, Vec<Side>, [DVec3; 2])> {
+    match chord {
         Chord::Edge(ends, eighths) => {
             let CutOff { shell, sides, place, goal } = cut_of_edge(mesh, ends, eighths, towards)?;
-            (shell, sides, [place, goal])
+            Some((shell, sides, [place, goal]))
         }
         Chord::Face(corners, labels) => {
             let tets = mesh.tets_at_face(corners);
@@ -240,24 +312,9 @@ pub fn insert_in_chord(
                 Towards::Crease => across(mesh, middle, (b - a).cross(c - a).normalize_or_zero(), labels)?,
                 Towards::OneTube => nearest_on_tube(mesh, middle, &sides)?,
             };
-            (tets, sides, [middle, goal])
+            Some((tets, sides, [middle, goal]))
         }
-    };
-    let before = mesh.lowest(&tets);
-    let needed = Threshold::of(before.min(bound));
-    let [middle, goal] = ends;
-    let place = |mesh: &mut ImprovementMesh, m: u32| {
-        let is_nearer = place_first(mesh, m, middle, goal, &needed);
-        match begin {
-            Start::Nearer => is_nearer && is_upright(mesh, m),
-            Start::Anywhere => is_nearer || mesh.lowest(mesh.ball(m)) >= bound.min(before),
-        }
-    };
-    let is_in = match &chord {
-        Chord::Edge(ends, _) => insert_between(mesh, ends, &tets, middle, sides, place),
-        Chord::Face(corners, _) => insert_between(mesh, corners, &tets, middle, sides, place),
-    };
-    is_in.then(|| (mesh.points.len() as u32 - 1, ends))
+    }
 }
 
 /// Whether all surface triangles at a vertex look where the surface does there. The halves of a triangle that lies upside down do not:
@@ -300,10 +357,14 @@ fn across(mesh: &ImprovementMesh, middle: DVec3, normal: DVec3, [inner, outer]: 
 /// Moves a vertex from the middle towards the goal, to the farthest place where its tets reach the threshold.
 pub fn place_first(mesh: &mut ImprovementMesh, v: u32, middle: DVec3, goal: DVec3, needed: &Threshold) -> bool {
     mesh.with_ball(v, |mesh, ball| {
-        let mut places = WAY.iter().map(|part| middle.lerp(goal, *part));
-        let found = places.find(|place| ball.score_above(*place, needed).is_some());
+        let found = first_place(ball, [middle, goal], needed);
         found.inspect(|place| mesh.move_vertex(v, *place)).is_some()
     })
+}
+
+fn first_place(ball: &mut Ball, [middle, goal]: [DVec3; 2], needed: &Threshold) -> Option<DVec3> {
+    let mut places = WAY.iter().map(|part| middle.lerp(goal, *part));
+    places.find(|place| ball.score_above(*place, needed).is_some())
 }
 
 #[cfg(test)]

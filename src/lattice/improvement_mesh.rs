@@ -323,6 +323,17 @@ impl<'a> ImprovementMesh<'a> {
         });
     }
 
+    /// Fills `ball` with the tets that a new vertex would have which splits a group of tets between some of their vertices.
+    pub fn gather_split(&self, tets: &[u32], between: &[u32], ball: &mut Ball) {
+        ball.clear();
+        self.for_each_row(tets, |t, tet| {
+            for own in (0..4).filter(|own| between.contains(&tet[*own])) {
+                let [a, b, c] = TET_FACES[own].map(|at| self.points[tet[at] as usize]);
+                ball.push([a, b, c], self.part(t));
+            }
+        });
+    }
+
     /// The tet on the other side of the face of `t` opposite to its corner `face`.
     pub fn neighbor(&self, t: u32, face: usize) -> Option<u32> {
         let tet = self.tets[t as usize];
