@@ -368,7 +368,9 @@ fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunC
     }
     let threshold = Threshold::of(wanted);
     let tets = (0..work.tets.len() as u32).into_par_iter().with_min_len(4096);
-    let mut candidates: Vec<u32> = tets.filter(|t| work.is_live(*t) && work.fails(*t, &threshold)).collect();
+    let fails = |t: &u32| work.is_live(*t) && work.fails(*t, &threshold);
+    let mut candidates: Vec<u32> = context.until_cancelled(tets).filter(fails).collect();
+    context.check()?;
     let mut low: Vec<u32> = candidates.iter().flat_map(|t| work.tets[*t as usize]).collect();
     low.sort_unstable();
     low.dedup();
@@ -468,7 +470,7 @@ fn loosen_all(work: &mut ImprovementMesh, context: &RunContext) -> Result<()> {
     let limit = Threshold::of(STIFF_SCAFFOLD_ANGLE);
     let is_stiff = |t: &u32| work.part(*t) == Part::Scaffold && work.is_live(*t) && tet_fails(work.corners(*t), &limit);
     let all = (0..work.tets.len() as u32).into_par_iter().with_min_len(4096);
-    let stiff: Vec<u32> = all.take_any_while(|_| !context.is_cancelled()).filter(is_stiff).collect();
+    let stiff: Vec<u32> = context.until_cancelled(all).filter(is_stiff).collect();
     context.check()?;
     for (at, t) in stiff.into_iter().enumerate() {
         context.check_every(LOW_TETS_PER_CHECK, at)?;
@@ -491,9 +493,8 @@ fn low_among(
     context: &RunContext,
 ) -> Result<Vec<(f64, u32)>> {
     let threshold = Threshold::of(wanted);
-    let mut low: Vec<(f64, u32)> = candidates
-        .with_min_len(1024)
-        .take_any_while(|_| !context.is_cancelled())
+    let mut low: Vec<(f64, u32)> = context
+        .until_cancelled(candidates.with_min_len(1024))
         .filter(|t| mesh.is_live(*t) && mesh.fails(*t, &threshold))
         .map(|t| (mesh.score(t), t))
         .collect();

@@ -109,7 +109,7 @@ pub fn change_in_order<C: PlannedChange>(
         touched.batch += 1;
         let mut plans: Vec<C::Plan> = Vec::new();
         if is_needed {
-            let part = batch.par_iter().with_min_len(CHUNK).take_any_while(|_| !context.is_cancelled());
+            let part = context.until_cancelled(batch.par_iter().with_min_len(CHUNK));
             plans = part.map(|item| change.plan(mesh, item)).collect();
             context.check()?;
         }

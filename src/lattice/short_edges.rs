@@ -48,7 +48,7 @@ pub fn contract_short_edges(
     context: &RunContext,
 ) -> Result<usize> {
     let all = (0..mesh.tets.len() as u32).into_par_iter().with_min_len(4096);
-    let mut edges = short_edges(mesh, short, all.take_any_while(|_| !context.is_cancelled()));
+    let mut edges = short_edges(mesh, short, context.until_cancelled(all));
     context.check()?;
     let mut contracted = 0;
     for pass in 1..=passes {

@@ -41,6 +41,7 @@ impl ImprovementMesh<'_> {
         old_vertices.retain(|v| !self.ball(*v).is_empty());
         let mut new_of = vec![GONE; self.points.len()];
         old_vertices.iter().zip(0..).for_each(|(old, new)| new_of[*old as usize] = new);
+        context.check()?;
         let old_tets = self.tets_by_vertex(&new_of, old_vertices.len());
         context.check()?;
         self.balls = Vec::new();
