@@ -17,7 +17,7 @@
 //! changes are those that one thread would make, in the same order.
 //!
 //! # Cost
-//! 4 bytes per vertex. On one thread nothing is planned before its turn.
+//! 4 bytes per vertex. On fewer than [`LEAST_THREADS`] threads nothing is planned before its turn.
 
 use rayon::prelude::*;
 
@@ -30,6 +30,9 @@ const BATCH: usize = 1024;
 
 /// Items per parallel work item.
 const CHUNK: usize = 16;
+
+/// Threads from which on work is planned before its turn: making plans and testing them costs as much as a second thread saves.
+pub const LEAST_THREADS: usize = 3;
 
 /// Items between two looks at whether the run is cancelled.
 const ITEMS_PER_CHECK: usize = 256;
@@ -101,7 +104,7 @@ pub fn change_in_order<C: PlannedChange>(
     change: &mut C,
     context: &RunContext,
 ) -> Result<()> {
-    let is_needed = context.threads() > 1;
+    let is_needed = context.threads() >= LEAST_THREADS;
     let marks = if is_needed { mesh.points.len() } else { 0 };
     let mut touched = Touched { last: vec![0; marks], batch: 0, is_needed };
     for batch in items.chunks(BATCH) {

@@ -19,6 +19,7 @@ use rayon::prelude::*;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace};
+use crate::lattice::planned_batches::LEAST_THREADS;
 
 /// No color yet.
 const UNCOLORED: u8 = u8::MAX;
@@ -130,7 +131,7 @@ impl SurfaceStars {
 
     fn color(&mut self, mesh: &ImprovementMesh, stale: &[u32], context: &RunContext) -> Result<()> {
         stale.iter().for_each(|v| self.colors[*v as usize] = UNCOLORED);
-        if context.threads() == 1 {
+        if context.threads() < LEAST_THREADS {
             let mut open = Vec::new();
             for (at, &v) in stale.iter().enumerate() {
                 context.check_every(CHUNK, at)?;
