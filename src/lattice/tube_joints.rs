@@ -22,7 +22,7 @@
 //! None.
 //!
 //! # Invariants
-//! What is dropped adds no more than [`CONTAINED`] to what is left then. Every segment of what is cut stays one; every piece has a segment;
+//! What is dropped adds no more than `CONTAINED` to what is left then. Every segment of what is cut stays one; every piece has a segment;
 //! no piece is in a joint twice.
 //!
 //! # Cost
@@ -95,7 +95,7 @@ pub fn place_of(joint: &Joint, tubes: &[Tube]) -> DVec3 {
 type Node = (usize, usize);
 
 /// Tubes without those that lie within others, or would where the end of another one were theirs: that gets it then. What they add
-/// is no more than [`CONTAINED`] `unit`s thick. The shortest are looked at first, so that of two that run side by side the longer
+/// is no more than `CONTAINED` `unit`s thick. The shortest are looked at first, so that of two that run side by side the longer
 /// one is kept.
 pub fn without_contained(tubes: &[Tube], unit: f64) -> Vec<Tube> {
     let mut order: Vec<usize> = (0..tubes.len()).collect();
