@@ -161,7 +161,8 @@ mod tests {
         let center = DVec3::new(15.3, 15.8, 16.1);
         let image = image(32, |p| u16::from(p.distance(center) < 12.0));
         let result = mesh(&image, 1);
-        assert_eq!(result, mesh(&image, 2));
+        // From three threads on changes are planned before their turn.
+        assert!([2, 3].iter().all(|threads| mesh(&image, *threads) == result));
         check_mixed_mesh(&result).unwrap();
         let quality = mesh_quality(&result, &RunContext::with_threads(1).unwrap()).unwrap().statistics();
         assert!(quality.value("quality.min_dihedral").unwrap() > 12.0, "{quality:?}");
@@ -188,6 +189,7 @@ mod tests {
         };
         let image = image(26, label);
         let result = mesh(&image, 1);
+        assert!(mesh(&image, 3) == result);
         check_mixed_mesh(&result).unwrap();
         let quality = mesh_quality(&result, &RunContext::with_threads(1).unwrap()).unwrap().statistics();
         assert!(quality.value("quality.min_dihedral").unwrap() > 8.0, "{quality:?}");
