@@ -85,15 +85,16 @@ impl<'a> PointLocator<'a> {
             })
             .collect();
         let mut offsets = vec![0u32; self.size.iter().product::<usize>() + 1];
-        let cells = |range: &[[usize; 3]; 2]| {
-            let [low, high] = *range;
-            let size = self.size;
-            (low[2]..=high[2]).flat_map(move |k| {
-                (low[1]..=high[1]).flat_map(move |j| (low[0]..=high[0]).map(move |i| i + size[0] * (j + size[1] * k)))
-            })
+        let size = self.size;
+        let for_each_cell = |[low, high]: &[[usize; 3]; 2], work: &mut dyn FnMut(usize)| {
+            for k in low[2]..=high[2] {
+                for j in low[1]..=high[1] {
+                    (low[0]..=high[0]).for_each(|i| work(i + size[0] * (j + size[1] * k)));
+                }
+            }
         };
         for range in &boxes {
-            cells(range).for_each(|cell| offsets[cell + 1] += 1);
+            for_each_cell(range, &mut |cell| offsets[cell + 1] += 1);
         }
         for cell in 1..offsets.len() {
             offsets[cell] += offsets[cell - 1];
@@ -101,10 +102,10 @@ impl<'a> PointLocator<'a> {
         let mut fill = offsets.clone();
         let mut entries = vec![0u32; *offsets.last().unwrap_or(&0) as usize];
         for (element, range) in boxes.iter().enumerate() {
-            for cell in cells(range) {
+            for_each_cell(range, &mut |cell| {
                 entries[fill[cell] as usize] = element as u32;
                 fill[cell] += 1;
-            }
+            });
         }
         self.offsets = offsets;
         self.entries = entries;

@@ -85,10 +85,14 @@ pub fn move_guarded(
     context.check()?;
     while bad.iter().any(|b| !b.is_empty()) {
         let mut moved: Vec<VertexId> = Vec::new();
-        for v in guarded.iter().zip(&bad).flat_map(|(group, bad)| bad.iter().flat_map(|t| group.tets[*t as usize])) {
-            if factors.get(v.index()).is_some_and(|f| *f > 0.0) && !is_moved[v.index()] {
-                is_moved[v.index()] = true;
-                moved.push(v);
+        for (group, bad) in guarded.iter().zip(&bad) {
+            for v in bad.iter().flat_map(|t| &group.tets[*t as usize]) {
+                // Those past the points stay where they are.
+                let Some(is_moved) = is_moved.get_mut(v.index()) else { continue };
+                if factors[v.index()] > 0.0 && !*is_moved {
+                    *is_moved = true;
+                    moved.push(*v);
+                }
             }
         }
         for v in &moved {
