@@ -46,7 +46,7 @@ impl SourcePoints {
     ///
     /// # Errors
     /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
-    pub fn find(
+    pub fn new(
         points: &[DVec3],
         tets: &[[VertexId; 4]],
         labels: &[Label],
@@ -119,20 +119,6 @@ impl SourcePoints {
             sources.offsets.push(sources.sides.len() as u32);
         }
         Ok(sources)
-    }
-
-    /// [`find`](Self::find) in a run that nobody cancels.
-    #[cfg(test)]
-    pub fn new(
-        points: &[DVec3],
-        tets: &[[VertexId; 4]],
-        labels: &[Label],
-        neighbors: &[[u32; 4]],
-        surface: &SubvoxelSurface,
-        planes: &[u8],
-    ) -> Self {
-        let context = RunContext::with_threads(1).unwrap();
-        Self::find(points, tets, labels, neighbors, surface, planes, &context).unwrap()
     }
 
     /// Sides of the source point of this position.

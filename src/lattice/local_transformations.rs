@@ -612,7 +612,8 @@ mod tests {
     fn the_middle_of_an_edge_in_a_border_plane_stays_there_where_only_the_scaffold_has_faces_in_it() {
         // The edge 0 1 lies in the plane x = -0.5; a tet of the mesh stands on it, scaffold tets lean on both sides of that.
         let image = voxel_image(6, |p| u16::from(p.x < 3.0));
-        let surface = SubvoxelSurface::new(&image, &RunContext::with_threads(1).unwrap()).unwrap();
+        let context = RunContext::with_threads(1).unwrap();
+        let surface = SubvoxelSurface::new(&image, &context).unwrap();
         let points = vec![
             DVec3::new(-0.5, 2.0, 2.0),
             DVec3::new(-0.5, 2.0, 3.0),
@@ -631,7 +632,8 @@ mod tests {
             ..CandidateMesh::default()
         };
         let alone = [[u32::MAX; 4]];
-        let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &alone, &surface, &[0]);
+        let sources =
+            SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &alone, &surface, &[0], &context).unwrap();
         let expected = [Side::Label(Label(0)), Side::Label(Label(1)), Side::Border(0)];
         assert_eq!(sources.sides(0), expected);
         assert_eq!(sources.sides(2), &expected[..2]);
@@ -667,7 +669,7 @@ mod tests {
         let context = RunContext::with_threads(1).unwrap();
         let surface = SubvoxelSurface::new(&image, &context).unwrap();
         let neighbors = neighbors_of(&rows, points.len(), &context).unwrap();
-        let sources = SourcePoints::new(&points, &tets, &tet_labels, &neighbors, &surface, &[]);
+        let sources = SourcePoints::new(&points, &tets, &tet_labels, &neighbors, &surface, &[], &context).unwrap();
         let mut mesh = CandidateMesh { points, tets, tet_labels, ..CandidateMesh::default() };
         let work = ImprovementMesh::new(&mut mesh, &sources, surface);
         let shell = work.shell(0, 1);

@@ -71,7 +71,7 @@ pub fn smooth(
     report.set("smoothing.loose_pieces", loose as f64);
     context.check()?;
     let (tets, labels) = (&mesh.tets, &mesh.tet_labels);
-    let sources = SourcePoints::find(&mesh.points, tets, labels, &neighbors, &surface, &planes, context)?;
+    let sources = SourcePoints::new(&mesh.points, tets, labels, &neighbors, &surface, &planes, context)?;
     drop(neighbors);
     let targets = TargetPoints::new(image, options.non_connectivity);
     let points = SmoothingPoints {

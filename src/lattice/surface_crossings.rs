@@ -139,7 +139,8 @@ mod tests {
         let context = RunContext::with_threads(1).unwrap();
         let surface = SubvoxelSurface::new(&image, &context).unwrap();
         let alone = [[u32::MAX; 4]; 2];
-        let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &alone, &surface, &[]);
+        let sources =
+            SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &alone, &surface, &[], &context).unwrap();
         let mesh = ImprovementMesh::new(&mut mesh, &sources, surface);
         let count = count_crossings(&mesh, &context).unwrap();
         context.cancel_token().cancel();

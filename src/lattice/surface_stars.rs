@@ -258,7 +258,8 @@ mod tests {
         let context = RunContext::with_threads(1).unwrap();
         let surface = SubvoxelSurface::new(&image, &context).unwrap();
         let alone = [[u32::MAX; 4]; 4];
-        let sources = SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &alone, &surface, &[]);
+        let sources =
+            SourcePoints::new(&mesh.points, &mesh.tets, &mesh.tet_labels, &alone, &surface, &[], &context).unwrap();
         let mut work = ImprovementMesh::new(&mut mesh, &sources, surface);
         work.refresh_stars(&context).unwrap();
         agrees(work.stars(), &work);

@@ -32,7 +32,7 @@ pub fn with_tets<T>(
     let context = RunContext::with_threads(1).unwrap();
     let surface = SubvoxelSurface::new(image, &context).unwrap();
     let neighbors = neighbors_of(&rows, points.len(), &context).unwrap();
-    let sources = SourcePoints::new(&points, &tets, &tet_labels, &neighbors, &surface, &[]);
+    let sources = SourcePoints::new(&points, &tets, &tet_labels, &neighbors, &surface, &[], &context).unwrap();
     let mut mesh = CandidateMesh { points, tets, tet_labels, ..CandidateMesh::default() };
     work(ImprovementMesh::new(&mut mesh, &sources, surface))
 }

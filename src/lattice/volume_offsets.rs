@@ -181,7 +181,7 @@ mod tests {
         let context = RunContext::with_threads(1).unwrap();
         let surface = SubvoxelSurface::new(&image, &context).unwrap();
         let neighbors = neighbors_of(&rows, points.len(), &context).unwrap();
-        let sources = SourcePoints::new(&points, &tets, &tet_labels, &neighbors, &surface, &[]);
+        let sources = SourcePoints::new(&points, &tets, &tet_labels, &neighbors, &surface, &[], &context).unwrap();
         let mut mesh = CandidateMesh { points, tets, tet_labels, ..CandidateMesh::default() };
         let mut work = ImprovementMesh::new(&mut mesh, &sources, surface);
         let volume = |work: &ImprovementMesh| volumes_of(work, 2)[1];
