@@ -152,6 +152,12 @@ const VESSEL_APPROACH_ROUND: usize = 1;
 /// on its side. In the crease of a crotch it is the way into that.
 const FAR: f64 = 0.2;
 const FARTHEST: f64 = 1.5;
+
+/// The same where most labels are vessels, by the way into creases, and at the end. On 12 trees places of the exact surface are off the
+/// mesh by up to 0.43 voxel in the mean where 0.2 is far and the nearest surface counts, by 0.37 with these, and places of the mesh by
+/// up to 0.37 and 0.33, for 2 % more elements.
+const VESSEL_FAR: f64 = 0.12;
+const LAST_FAR: f64 = 0.1;
 const VESSEL_FARTHEST: f64 = 3.0;
 
 /// Share of the distance that may be left when such a place has been brought nearer.
@@ -288,8 +294,12 @@ pub fn improve(
             };
             context.check()?;
             let budget = (work.tets.len() / TETS_PER_APPROACH).max(LEAST_APPROACHES);
-            let (farthest, ways) = if has_vessels { (VESSEL_FARTHEST, Ways::Creases) } else { (FARTHEST, Ways::Moves) };
-            let range = [FAR, farthest].map(|f| f * voxel);
+            let (range, ways) = if has_vessels {
+                ([VESSEL_FAR, VESSEL_FARTHEST], Ways::Creases)
+            } else {
+                ([FAR, FARTHEST], Ways::Moves)
+            };
+            let range = range.map(|f| f * voxel);
             let bounds = ApproachBounds { range, wanted: effort.wanted, left: LEFT, around: Around::MayYield, ways };
             summary.approached += approach_surface(&mut work, bounds, budget, &mut mend, context)?;
         }
@@ -327,7 +337,7 @@ pub fn improve(
         let mut mend = |work: &mut ImprovementMesh, vertices: &[u32]| {
             mend_around(work, vertices, &effort, Some(&mut summary.counts), context)
         };
-        let range = [FAR, VESSEL_FARTHEST].map(|f| f * voxel);
+        let range = [LAST_FAR, VESSEL_FARTHEST].map(|f| f * voxel);
         let bounds =
             ApproachBounds { range, wanted: effort.wanted, left: LAST_LEFT, around: Around::Holds, ways: Ways::All };
         for _ in 0..LAST_APPROACHES {

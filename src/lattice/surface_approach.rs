@@ -4,7 +4,8 @@
 //! A vertex goes to its surface step by step, each as far as the scores around it allow, so something may stand before it: at the
 //! tip of a vessel the vertices of the wall beyond it. Places that are off by more than a tolerance are gone through, the
 //! farthest first: surface vertices, and edges and faces of the surface by their middles
-//! ([`chord_splits`](crate::lattice::chord_splits)).
+//! ([`chord_splits`](crate::lattice::chord_splits)). Where most labels are vessels an edge counts by the way from it into the crease
+//! that it bridges, which is longer than that to the walls of the crease.
 //! 1. An edge is flipped where that brings the surface nearer ([`surface_edge_flips`](crate::lattice::surface_edge_flips)), and the
 //!    tets around are made better by the means of the improvement; else it gets a new vertex in its middle, as a face does; else
 //!    one of its ends moves along the surface to where it cuts that off. At the end a vertex may also go to one tube beside a crease:
@@ -45,6 +46,10 @@ const MORE_ADVANCES: usize = 6;
 
 /// A vertex this near, in tolerances, goes no further.
 const NEAR: f64 = 0.5;
+
+/// How far off its nearest surface an edge is, in tolerances, for the way into a crease to be looked for: half of that way where two
+/// sides meet at 60 degrees.
+const LEAST_DEPTH: f64 = 0.5;
 
 /// How far the surface of a vertex is looked for, in largest spacings.
 const REACH: f64 = 2.0;
@@ -238,9 +243,23 @@ fn far_places(mesh: &ImprovementMesh, tolerance: f64, context: &RunContext) -> R
     let vertices = (0..mesh.points.len() as u32).into_par_iter().with_min_len(1024);
     let mut far: Vec<(f64, Place)> = context.until_cancelled(vertices).filter_map(of_vertex).collect();
     // What a cancelled run left out above is never seen: this fails too.
-    far.extend(chords(mesh, tolerance, context)?.into_iter().map(|(off, chord)| (off, Place::Between(chord))));
+    let has_creases = mesh.surface.has_mostly_vessels();
+    let listed = chords(mesh, if has_creases { LEAST_DEPTH * tolerance } else { tolerance }, context)?;
+    let of_chord = |(off, chord): (f64, Chord)| {
+        let off = if has_creases { off.max(way_into_crease(mesh, &chord)) } else { off };
+        (off > tolerance).then_some((off, Place::Between(chord)))
+    };
+    let listed = listed.into_par_iter().with_min_len(64);
+    far.par_extend(context.until_cancelled(listed).filter_map(of_chord));
+    context.check()?;
     far.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
     Ok(far)
+}
+
+/// How far off an edge is in the direction in which all the surface around leads, mm; 0 for a face.
+fn way_into_crease(mesh: &ImprovementMesh, chord: &Chord) -> f64 {
+    let Chord::Edge(ends, eighths) = *chord else { return 0.0 };
+    cut_of_edge(mesh, ends, eighths, Towards::Crease).map_or(0.0, |cut| cut.goal.distance(cut.place))
 }
 
 /// The place of a vertex on its surface.

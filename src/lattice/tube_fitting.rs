@@ -452,7 +452,7 @@ fn end_within(tubes: &[Tube], number: usize, is_last: bool, unit: f64) -> EndTar
         return EndTarget::default();
     }
     let from_end = |n: usize| nodes[if is_last { nodes.len() - 1 - n } else { n }].center;
-    let Some(found) = host_of(tubes, number, from_end(0)) else { return EndTarget::default() };
+    let Some(found) = host_of(tubes, number, from_end(0), 0.0) else { return EndTarget::default() };
     let host = &tubes[found.tube];
     let is_hidden = |n: &usize| {
         let depth = |segment: usize| depth_in_segment(from_end(*n), &host.segment(segment)).0;
@@ -474,9 +474,9 @@ pub struct Place {
     pub part: f64,
 }
 
-/// Where on the axes of the tubes but `number` a point belongs that is within one, by the one it is deepest in.
-pub fn host_of(tubes: &[Tube], number: usize, point: DVec3) -> Option<Place> {
-    let mut deepest = (0.0, None);
+/// Where on the axes of the tubes but `number` a point belongs that is deeper than `least` (mm) in one, by the one it is deepest in.
+pub fn host_of(tubes: &[Tube], number: usize, point: DVec3, least: f64) -> Option<Place> {
+    let mut deepest = (least, None);
     for (tube, other) in tubes.iter().enumerate().filter(|(tube, _)| *tube != number) {
         for segment in 0..other.segment_count() {
             let (depth, part) = depth_in_segment(point, &other.segment(segment));

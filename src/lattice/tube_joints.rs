@@ -4,9 +4,11 @@
 //! 1. Two lines may run side by side in a vessel, or one go on where another one ends: a tube that lies within others after the
 //!    first steps of the fit is dropped, also one that only needs the end of another one to be a little farther on, which is set
 //!    there. Both would be tied together at both ends, and the fit would draw the vessel's end back for that.
-//! 2. An end of a tube that lies within another tube meets that at its nearest node. That tube is cut there, unless it has an end or
-//!    is cut already about as near.
-//! 3. The ends that meet at a node are a joint. The fit draws each to the mean of all of them, wherever that goes: a fork is found
+//! 2. Lines of two branches may both begin where their trunk does: what they share is left to one of them, the other one begins in it
+//!    where they part.
+//! 3. An end of a tube that lies within another tube, or just before it, meets that at its nearest node. That tube is cut there, unless
+//!    it has an end or is cut already about as near.
+//! 4. The ends that meet at a node are a joint. The fit draws each to the mean of all of them, wherever that goes: a fork is found
 //!    together by all three vessels, each of which has its own direction and radius there. Of a tube both of whose ends would
 //!    meet there only the nearer one does.
 //! ```text
@@ -46,6 +48,15 @@ const CONTAINED: f64 = 0.25;
 
 /// By how much a tube may be lengthened for another one, in its radii.
 const LENGTHENED: f64 = 2.0;
+
+/// How long an end has to lie within another tube for it to be the trunk of both, in its radius: an end on the axis of the tube that
+/// it leaves lies there for less. Of 45 vessel trees the tubes are off by more than 0.35 voxel at 12 places where nothing is shared,
+/// 9 with 2; 1.2 and 3 do the same.
+const SHARED: f64 = 2.0;
+
+/// How far before another tube an end may lie and meet it, in its radius: the balls of both overlap, nothing is between them. Of 45
+/// vessel trees the tubes are off by more than 0.35 voxel at 9 places with 0, 7 with this; 0.7 and 1 do the same.
+const BEFORE: f64 = 0.5;
 
 /// An end of a tube.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -98,10 +109,8 @@ type Node = (usize, usize);
 /// is no more than `CONTAINED` `unit`s thick. The shortest are looked at first, so that of two that run side by side the longer
 /// one is kept.
 pub fn without_contained(tubes: &[Tube], unit: f64) -> Vec<Tube> {
-    let mut order: Vec<usize> = (0..tubes.len()).collect();
-    order.sort_by(|l, r| tubes[*l].length().total_cmp(&tubes[*r].length()).then(r.cmp(l)));
     let mut kept: Vec<Option<Tube>> = tubes.iter().cloned().map(Some).collect();
-    for number in order {
+    for number in by_length(tubes) {
         let Some(tube) = kept[number].take() else { continue };
         let others = || kept.iter().flatten();
         let is_within = |node: &TubeNode| others().any(|other| contains(other, node, unit));
@@ -138,12 +147,51 @@ fn contains(tube: &Tube, node: &TubeNode, unit: f64) -> bool {
     (0..tube.segment_count()).any(|n| depth(n) >= node.radius - CONTAINED * unit)
 }
 
+/// Tubes without the ends that they share with others: one of them keeps what is shared, the others begin in it. The shortest are
+/// looked at first, as in [`without_contained`].
+pub fn without_shared_ends(tubes: &[Tube], unit: f64) -> Vec<Tube> {
+    let mut tubes = tubes.to_vec();
+    for number in by_length(&tubes) {
+        for _ in 0..2 {
+            let of_other = |(n, other): (usize, &Tube)| {
+                if n == number { 0 } else { shared_nodes(&tubes[number], other, unit) }
+            };
+            let shared = tubes.iter().enumerate().map(of_other).max().unwrap_or(0);
+            let nodes = &mut tubes[number].nodes;
+            // The last one of these stays: it lies within the other tube, and meets it.
+            if shared < nodes.len() {
+                nodes.drain(..shared.saturating_sub(1));
+            }
+            // The other end is next, and the first one comes first again.
+            nodes.reverse();
+        }
+    }
+    tubes
+}
+
+/// How many nodes from the first one on a tube shares with another one; 0 where it only leaves that.
+fn shared_nodes(tube: &Tube, other: &Tube, unit: f64) -> usize {
+    let shared = tube.nodes.iter().take_while(|node| contains(other, node, unit)).count();
+    let length: f64 = tube.nodes[..shared].windows(2).map(|two| two[0].center.distance(two[1].center)).sum();
+    if length > SHARED * tube.nodes[0].radius { shared } else { 0 }
+}
+
+/// Numbers of tubes, the shortest first; of equal ones the last.
+fn by_length(tubes: &[Tube]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..tubes.len()).collect();
+    order.sort_by(|l, r| tubes[*l].length().total_cmp(&tubes[*r].length()).then(r.cmp(l)));
+    order
+}
+
 /// Cuts tubes where others begin in them.
 pub fn split_at_joints(tubes: &[Tube]) -> JoinedTubes {
     let last = |tube: usize| tubes[tube].nodes.len().saturating_sub(1);
     let ends: Vec<TubeEnd> =
         (0..tubes.len()).flat_map(|tube| [false, true].map(|is_last| TubeEnd { tube, is_last })).collect();
-    let host = |end: &TubeEnd| host_of(tubes, end.tube, end.node(tubes).center);
+    let host = |end: &TubeEnd| {
+        let TubeNode { center, radius } = end.node(tubes);
+        host_of(tubes, end.tube, center, -BEFORE * radius)
+    };
     let hosts: Vec<_> = ends.par_iter().map(host).collect();
     let mut cuts: Vec<Vec<usize>> = vec![Vec::new(); tubes.len()];
     let mut meetings = Meetings::default();
@@ -265,6 +313,36 @@ mod tests {
         // One that turns away stays.
         let tubes = [trunk, tube(&[[0.0, 0.0, 3.0], [2.0, 0.0, 5.0]], 2.0)];
         assert_eq!(without_contained(&tubes, 1.0), tubes);
+    }
+
+    #[test]
+    fn two_branches_that_both_hold_their_trunk_part_at_the_fork() {
+        let line = |x: f64, shift: f64| {
+            let at = |n: i32| [x * f64::from((n - 4).max(0)) + shift, 0.0, f64::from(n)];
+            tube(&(0..=8).map(at).collect::<Vec<_>>(), 1.0)
+        };
+        let tubes = [line(0.8, 0.1), line(-0.7, 0.0)];
+        let found = without_shared_ends(&tubes, 0.5);
+        assert_eq!(found[0], tubes[0]);
+        // The other one has lost what is within a quarter of a voxel, but for its last node there.
+        assert_eq!(found[1].nodes, tubes[1].nodes[4..]);
+        assert_eq!(split_at_joints(&found).joints.iter().map(Vec::len).collect::<Vec<_>>(), [3]);
+        // From the other end it is the same.
+        let mut turned = tubes.clone();
+        turned[1].nodes.reverse();
+        assert_eq!(without_shared_ends(&turned, 0.5)[1].nodes, turned[1].nodes[..5]);
+        // A branch on the axis of another tube only leaves that.
+        let trunk = tube(&(0..=8).map(|n| [0.0, 0.0, f64::from(n)]).collect::<Vec<_>>(), 2.0);
+        let branch = tube(&(0..=4).map(|n| [f64::from(n), 0.0, 4.0]).collect::<Vec<_>>(), 1.0);
+        assert_eq!(without_shared_ends(&[trunk.clone(), branch.clone()], 0.5), [trunk, branch]);
+    }
+
+    #[test]
+    fn an_end_just_before_a_tube_meets_it() {
+        let trunk = tube(&(0..=8).map(|n| [0.0, 0.0, f64::from(n)]).collect::<Vec<_>>(), 1.0);
+        let before = |gap: f64| tube(&[[1.0 + gap, 0.0, 4.0], [6.0, 0.0, 4.0]], 1.0);
+        let joints = |gap: f64| split_at_joints(&[trunk.clone(), before(gap)]).joints.len();
+        assert_eq!([joints(0.4), joints(0.6)], [1, 0]);
     }
 
     #[test]

@@ -5,10 +5,10 @@
 //! 1. Only solids most of whose voxels are near their surface are looked at, and whose centerlines
 //!    ([`centerlines`](crate::lattice::centerlines)) are long: the others are no vessels.
 //! 2. Tubes along the centerlines are fitted to the voxels near the boundary ([`tube_fitting`](crate::lattice::tube_fitting)): a few
-//!    steps, and the rest where these explain most voxels, after tubes within others were dropped and tubes cut where others begin
-//!    in them ([`tube_joints`](crate::lattice::tube_joints)). All labels together begin also with the tubes of the labels: walls
-//!    of vessels that lie side by side are one body, their lumens are not. Where that explains about as much, both are fitted once
-//!    more, as partners.
+//!    steps, and the rest where these explain most voxels. In between tubes within others are dropped, what two of them share is left
+//!    to one, and tubes are cut where others begin in them ([`tube_joints`](crate::lattice::tube_joints)). All labels together begin
+//!    also with the tubes of the labels: walls of vessels that lie side by side are one body, their lumens are not. Where that
+//!    explains about as much, both are fitted once more, as partners.
 //! 3. The depth in the tubes is the distance to the surface, but for voxels near one that is clearly on its wrong side.
 //!
 //! # Source
@@ -35,7 +35,7 @@ use crate::image::voxel_index::VoxelIndex;
 use crate::index::Label;
 use crate::lattice::centerlines::{Solid, Tube, TubeNode, centerlines};
 use crate::lattice::tube_fitting::{BoundaryVoxels, fit_tubes};
-use crate::lattice::tube_joints::{JoinedTubes, split_at_joints, without_contained};
+use crate::lattice::tube_joints::{JoinedTubes, split_at_joints, without_contained, without_shared_ends};
 
 /// Least share of a solid's voxels that have another side among their 26 neighbours: 0.44 for a tube of 4.4 voxels radius.
 const LEAST_SURFACE: f64 = 0.3;
@@ -226,8 +226,9 @@ impl Part {
     fn explain(&mut self, joints: Joints, context: &RunContext) -> Result<bool> {
         for (steps, largest) in [FIRST_STEPS, LAST_STEPS].into_iter().zip(LARGEST_WRONG) {
             if joints == Joints::Found && steps == LAST_STEPS {
-                let tubes = without_contained(&self.fitted.tubes, self.boundary.mean_spacing());
-                self.fitted = split_at_joints(&tubes);
+                let unit = self.boundary.mean_spacing();
+                let tubes = without_contained(&self.fitted.tubes, unit);
+                self.fitted = split_at_joints(&without_shared_ends(&tubes, unit));
             }
             let JoinedTubes { tubes, joints } = &mut self.fitted;
             fit_tubes(tubes, joints, None, &self.boundary, steps, context)?;
