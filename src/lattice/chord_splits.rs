@@ -32,9 +32,10 @@ use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::element_score::{Ball, Threshold};
 use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace};
-use crate::lattice::local_transformations::{farthest_on_edge, insert_between, sides_of_edge};
+use crate::lattice::local_transformations::{insert_between, sides_of_edge};
 use crate::lattice::planned_batches::{PlannedChange, Touched, change_in_order};
 use crate::lattice::subvoxel_surface::Side;
+use crate::lattice::surface_cuts::farthest_on_edge;
 use crate::lattice::surface_edge_flips::flip_surface_edge;
 
 /// Parts of the way from the middle to the surface that are tried.

@@ -300,8 +300,9 @@ pub fn improve(
                 ([FAR, FARTHEST], Ways::Moves)
             };
             let range = range.map(|f| f * voxel);
-            let bounds = ApproachBounds { range, wanted: effort.wanted, left: LEFT, around: Around::MayYield, ways };
-            summary.approached += approach_surface(&mut work, bounds, budget, &mut mend, context)?;
+            let (wanted, around) = (effort.wanted, Around::MayYield);
+            let bounds = ApproachBounds { range, wanted, left: LEFT, around, ways, passes: 1, budget };
+            summary.approached += approach_surface(&mut work, bounds, &mut mend, context)?;
         }
         if may_transform && round == SHORT_EDGE_ROUND {
             // The next round moves all vertices.
@@ -338,11 +339,16 @@ pub fn improve(
             mend_around(work, vertices, &effort, Some(&mut summary.counts), context)
         };
         let range = [LAST_FAR, VESSEL_FARTHEST].map(|f| f * voxel);
-        let bounds =
-            ApproachBounds { range, wanted: effort.wanted, left: LAST_LEFT, around: Around::Holds, ways: Ways::All };
-        for _ in 0..LAST_APPROACHES {
-            summary.approached += approach_surface(&mut work, bounds, LEAST_APPROACHES, &mut mend, context)?;
-        }
+        let bounds = ApproachBounds {
+            range,
+            wanted: effort.wanted,
+            left: LAST_LEFT,
+            around: Around::Holds,
+            ways: Ways::All,
+            passes: LAST_APPROACHES,
+            budget: LEAST_APPROACHES,
+        };
+        summary.approached += approach_surface(&mut work, bounds, &mut mend, context)?;
         for _ in 0..VOLUME_STEPS {
             move_by_offsets(&mut work, &clean.volumes, LARGEST_OFFSET * voxel, wanted, context)?;
         }

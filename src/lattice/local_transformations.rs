@@ -31,6 +31,7 @@ use crate::lattice::element_score::{Part, Threshold, lowest_score, part_fails, t
 use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace, ordered_rest, part_of};
 use crate::lattice::scaffold::SCAFFOLD_ANGLE;
 use crate::lattice::subvoxel_surface::Side;
+use crate::lattice::surface_cuts::{LabelledFace, worst_cut};
 use crate::lattice::vertex_optimization::optimize_vertex;
 use crate::mesh::numbering::{TET_EDGES, TET_FACES};
 
@@ -352,38 +353,12 @@ fn surface_contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32, shell
 /// of its sides; where it already did, more than before.
 fn cuts_off(
     mesh: &ImprovementMesh,
-    before: impl Iterator<Item = ([u32; 3], [Label; 2])>,
-    after: impl Iterator<Item = ([u32; 3], [Label; 2])>,
+    before: impl Iterator<Item = LabelledFace>,
+    after: impl Iterator<Item = LabelledFace>,
 ) -> bool {
     let limit = LARGEST_CUT * mesh.surface.spacing().min_element();
     let worst = worst_cut(mesh, after);
     worst > limit && worst > worst_cut(mesh, before)
-}
-
-/// How far off their surface the middles of faces and of their edges are at most, mm; each face with the labels of its sides. Where
-/// most labels are vessels edges count where they are farthest off: creases pass anywhere.
-pub fn worst_cut(mesh: &ImprovementMesh, faces: impl Iterator<Item = ([u32; 3], [Label; 2])>) -> f64 {
-    let has_creases = mesh.surface.has_mostly_vessels();
-    let off = |(corners, sides): ([u32; 3], [Label; 2])| {
-        let [a, b, c] = corners.map(|v| mesh.points[v as usize]);
-        let depth = |place: DVec3| mesh.surface.depth(place, sides[0], sides[1]).map_or(0.0, f64::abs);
-        let of_edge = |[p, q]: [DVec3; 2]| {
-            let at = |eighths: u8| depth(p.lerp(q, f64::from(eighths) / 8.0));
-            if has_creases { farthest_on_edge(at).0 } else { at(4) }
-        };
-        [[a, b], [b, c], [c, a]].map(of_edge).into_iter().fold(depth((a + b + c) / 3.0), f64::max)
-    };
-    faces.map(off).fold(0.0, f64::max)
-}
-
-/// How far off an edge is where it is farthest off, of its quarters and the eighths beside the farthest of these, and how many
-/// eighths of it lie before that place: across a crease the distance has a peak anywhere. `off` is asked for the distance after some
-/// eighths.
-pub fn farthest_on_edge(off: impl Fn(u8) -> f64) -> (f64, u8) {
-    let farther = |l: (f64, u8), r: (f64, u8)| if r.0 > l.0 { r } else { l };
-    let at = |eighths: u8| (off(eighths), eighths);
-    let of_quarters = [2, 6].map(at).into_iter().fold(at(4), farther);
-    [of_quarters.1 - 1, of_quarters.1 + 1].map(at).into_iter().fold(of_quarters, farther)
 }
 
 /// Whether a vertex is in the middle of a line where surfaces meet, `to` is next to it, and the line bends little there.
@@ -574,16 +549,6 @@ mod tests {
     use crate::lattice::scaffold::Scaffold;
     use crate::lattice::subvoxel_surface::SubvoxelSurface;
     use crate::lattice::test_images::voxel_image;
-
-    #[test]
-    fn an_edge_is_farthest_off_at_the_peak_over_a_crease() {
-        for peak in 1..8 {
-            let (off, eighths) = farthest_on_edge(|eighths| 1.0 - 0.1 * f64::from(eighths.abs_diff(peak)));
-            assert_eq!((off, eighths), (1.0, peak));
-        }
-        // Where it is as far off all along, its middle is what is split.
-        assert_eq!(farthest_on_edge(|_| 0.3), (0.3, 4));
-    }
 
     #[test]
     fn no_split_scores_more_than_half_the_angle_opposite_to_its_edge() {

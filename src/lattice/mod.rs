@@ -67,6 +67,7 @@ pub mod subdivision_criteria;
 pub mod subvoxel_surface;
 pub mod surface_approach;
 pub mod surface_crossings;
+pub mod surface_cuts;
 pub mod surface_deformation;
 pub mod surface_edge_flips;
 pub mod surface_relabelling;

@@ -27,17 +27,17 @@
 
 use glam::DVec3;
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 
 use crate::context::RunContext;
 use crate::error::Result;
-use crate::lattice::change_log::Mark;
 use crate::lattice::chord_splits::{
     Chord, Start, Towards, chords, cut_of_edge, flip, insert_in_chord, nearest_on_tube, place_first,
 };
 use crate::lattice::element_score::Threshold;
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::iterated_search::{LEAST_PERTURBED, Outcome, vertices_around};
-use crate::lattice::local_transformations::worst_cut;
+use crate::lattice::surface_cuts::KnownCuts;
 
 /// Times that a vertex goes on after its tets were made better, and where all ways are tried. On 23 trees of vessels the farthest
 /// places are off by 0.42 voxel in the mean with 3, by 0.41 with 6 and with 12.
@@ -55,7 +55,7 @@ const LEAST_DEPTH: f64 = 0.5;
 const REACH: f64 = 2.0;
 
 /// What is off.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 enum Place {
     Vertex(u32),
     Between(Chord),
@@ -84,6 +84,10 @@ pub struct ApproachBounds {
     pub around: Around,
     /// What is tried.
     pub ways: Ways,
+    /// How often the places are gone through, and how many of them at most each time.
+    pub passes: usize,
+    /// See `passes`.
+    pub budget: usize,
 }
 
 /// What is tried at a place.
@@ -109,39 +113,28 @@ pub enum Around {
     Holds,
 }
 
-/// Brings places nearer to their surface, `budget` of them at most; `mend` makes the tets of some vertices better. Returns how
-/// many became nearer.
+/// Brings places nearer to their surface; `mend` makes the tets of some vertices better. Returns how many became nearer.
 ///
 /// # Errors
 /// Those of `mend`; [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn approach_surface(
     mesh: &mut ImprovementMesh,
     bounds: ApproachBounds,
-    budget: usize,
     mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
     context: &RunContext,
 ) -> Result<usize> {
-    let range = bounds.range;
+    let mut approach = Approach { bounds, cuts: KnownCuts::default(), tried: Tried::default() };
     let mut nearer = 0;
-    mesh.refresh_stars(context)?;
-    let mut far = far_places(mesh, range[0], context)?;
-    far.retain(|(off, _)| *off < range[1]);
-    for (_, place) in far.into_iter().take(budget) {
-        context.check()?;
-        let ways: &[Way] = match bounds.ways {
-            Ways::Moves => &[Way::Move(Towards::Crease)],
-            Ways::Creases => &ALL_WAYS[..ALL_WAYS.len() - 1],
-            Ways::All => &ALL_WAYS,
-        };
-        let before = State::of(mesh, vertices_around(mesh, place.corners()), &bounds);
-        for way in ways {
-            let trial = mesh.begin_trial();
-            if try_way(mesh, *way, place, &bounds, &before.near, mend)? && before.is_kept(mesh, trial, &bounds) {
-                mesh.keep_trial();
-                nearer += 1;
-                break;
+    for _ in 0..bounds.passes {
+        mesh.refresh_stars(context)?;
+        let mut far = far_places(mesh, bounds.range[0], context)?;
+        far.retain(|(off, _)| *off < bounds.range[1]);
+        for (_, place) in far.into_iter().take(bounds.budget) {
+            context.check()?;
+            let near = vertices_around(mesh, place.corners());
+            if !approach.tried.is_in_vain(&place, &near) {
+                nearer += usize::from(approach.approach_place(mesh, place, near, mend)?);
             }
-            mesh.take_back(trial);
         }
     }
     Ok(nearer)
@@ -160,76 +153,183 @@ enum Way {
 const ALL_WAYS: [Way; 5] =
     [Way::Flip, Way::Move(Towards::Crease), Way::Slide(0), Way::Slide(1), Way::Move(Towards::OneTube)];
 
-/// Whether a place is nearer after a way was tried; what was changed stays to be kept or taken back. `near` are the vertices around.
-fn try_way(
-    mesh: &mut ImprovementMesh,
-    way: Way,
-    place: Place,
-    bounds: &ApproachBounds,
-    near: &[u32],
-    mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
-) -> Result<bool> {
-    match (way, place) {
-        (Way::Flip, Place::Between(chord)) => {
-            let is_flipped = flip(mesh, &chord, LEAST_PERTURBED);
-            if is_flipped {
-                mend(mesh, near)?;
+/// What was tried in vain, and what changed since.
+#[derive(Default)]
+struct Tried {
+    /// Changes that stayed.
+    changes: usize,
+    /// The last change that touched a vertex.
+    touched: FxHashMap<u32, usize>,
+    /// The last change before a place was tried in vain.
+    in_vain: FxHashMap<Place, usize>,
+}
+
+impl Tried {
+    /// Whether a place was tried in vain and none of the vertices around it was touched since.
+    fn is_in_vain(&self, place: &Place, near: &[u32]) -> bool {
+        let touched = |v: &u32| self.touched.get(v).copied().unwrap_or(0);
+        self.in_vain.get(place).is_some_and(|then| near.iter().all(|v| touched(v) <= *then))
+    }
+
+    fn note_change(&mut self, touched: Vec<u32>) {
+        self.changes += 1;
+        self.touched.extend(touched.into_iter().map(|v| (v, self.changes)));
+    }
+
+    fn note_in_vain(&mut self, place: Place) {
+        self.in_vain.insert(place, self.changes);
+    }
+}
+
+/// An approach at work.
+struct Approach {
+    bounds: ApproachBounds,
+    cuts: KnownCuts,
+    tried: Tried,
+}
+
+impl Approach {
+    /// Whether a place has come nearer in one of the ways; `near` are the vertices around.
+    fn approach_place(
+        &mut self,
+        mesh: &mut ImprovementMesh,
+        place: Place,
+        near: Vec<u32>,
+        mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
+    ) -> Result<bool> {
+        let ways: &[Way] = match self.bounds.ways {
+            Ways::Moves => &[Way::Move(Towards::Crease)],
+            Ways::Creases => &ALL_WAYS[..ALL_WAYS.len() - 1],
+            Ways::All => &ALL_WAYS,
+        };
+        let before = (Outcome::of(mesh, near.clone(), self.bounds.wanted), self.farthest_around(mesh, &near));
+        for way in ways {
+            let trial = mesh.begin_trial();
+            if self.try_way(mesh, *way, place, &near, mend)? {
+                let touched = mesh.touched_since(trial);
+                if self.is_no_worse(mesh, [&near, &touched].map(|v| v.as_slice()).concat(), &before) {
+                    mesh.keep_trial();
+                    self.tried.note_change(touched);
+                    return Ok(true);
+                }
             }
-            Ok(is_flipped)
+            mesh.take_back(trial);
         }
-        (Way::Slide(end), Place::Between(Chord::Edge(ends, eighths))) => {
-            slide(mesh, (ends, eighths), end, bounds, near, mend)
+        self.tried.note_in_vain(place);
+        Ok(false)
+    }
+
+    /// Whether the tets of some vertices are no lower than before, and nothing there is farther off.
+    fn is_no_worse(&mut self, mesh: &ImprovementMesh, vertices: Vec<u32>, before: &(Outcome, f64)) -> bool {
+        Outcome::of(mesh, vertices.clone(), self.bounds.wanted).is_no_worse_than(&before.0)
+            && self.farthest_around(mesh, &vertices) <= before.1
+    }
+
+    /// How far off the surface is at some vertices, mm; 0 where that does not matter.
+    fn farthest_around(&mut self, mesh: &ImprovementMesh, vertices: &[u32]) -> f64 {
+        match self.bounds.around {
+            Around::MayYield => 0.0,
+            Around::Holds => self.cuts.farthest_around(mesh, vertices),
         }
-        (Way::Flip | Way::Slide(_), _) => Ok(false),
-        (Way::Move(towards), _) => bring_nearer(mesh, (place, towards), bounds, near, mend),
-    }
-}
-
-/// What is around a place before something is tried.
-struct State {
-    near: Vec<u32>,
-    outcome: Outcome,
-    off: f64,
-}
-
-impl State {
-    fn of(mesh: &ImprovementMesh, near: Vec<u32>, bounds: &ApproachBounds) -> Self {
-        let off = farthest_around(mesh, &near, bounds.around);
-        Self { outcome: Outcome::of(mesh, near.clone(), bounds.wanted), off, near }
     }
 
-    /// Whether what is around now, also all that was touched since `trial`, is no worse.
-    fn is_kept(&self, mesh: &ImprovementMesh, trial: Mark, bounds: &ApproachBounds) -> bool {
-        let mut near = self.near.clone();
-        near.extend(mesh.touched_since(trial));
-        Outcome::of(mesh, near.clone(), bounds.wanted).is_no_worse_than(&self.outcome)
-            && farthest_around(mesh, &near, bounds.around) <= self.off
-    }
-}
-
-/// How far off their surface the surface faces at some vertices are at most, and these vertices, mm; 0 where that does not matter.
-fn farthest_around(mesh: &ImprovementMesh, vertices: &[u32], around: Around) -> f64 {
-    if around == Around::MayYield {
-        return 0.0;
-    }
-    let mut farthest: f64 = 0.0;
-    let mut near = Vec::new();
-    for v in vertices.iter().copied().filter(|v| mesh.is_on_surface(*v) && !mesh.ball(*v).is_empty()) {
-        let faces = mesh.surface_faces(v);
-        if let Some(face) = faces.first() {
-            let [inner, outer] = mesh.labels_beside(face);
-            farthest = farthest.max(mesh.surface.depth(mesh.points[v as usize], inner, outer).map_or(0.0, f64::abs));
+    /// Whether a place is nearer after a way was tried; what was changed stays to be kept or taken back. `near` are the vertices around.
+    fn try_way(
+        &mut self,
+        mesh: &mut ImprovementMesh,
+        way: Way,
+        place: Place,
+        near: &[u32],
+        mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
+    ) -> Result<bool> {
+        match (way, place) {
+            (Way::Flip, Place::Between(chord)) => {
+                let is_flipped = flip(mesh, &chord, LEAST_PERTURBED);
+                if is_flipped {
+                    mend(mesh, near)?;
+                }
+                Ok(is_flipped)
+            }
+            (Way::Slide(end), Place::Between(Chord::Edge(ends, eighths))) => {
+                self.slide(mesh, (ends, eighths), end, near, mend)
+            }
+            (Way::Flip | Way::Slide(_), _) => Ok(false),
+            (Way::Move(towards), _) => self.bring_nearer(mesh, (place, towards), near, mend),
         }
-        near.extend(faces.iter().map(|face| {
-            let mut corners = [v, face.others[0], face.others[1]];
-            corners.sort_unstable();
-            (corners, mesh.labels_beside(face))
-        }));
     }
-    // Most have been found at each of their vertices.
-    near.sort_unstable();
-    near.dedup();
-    worst_cut(mesh, near.into_iter()).max(farthest)
+
+    /// Whether a vertex of a place has come nearer, a new one where it is a chord.
+    fn bring_nearer(
+        &self,
+        mesh: &mut ImprovementMesh,
+        (place, towards): (Place, Towards),
+        near: &[u32],
+        mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
+    ) -> Result<bool> {
+        let ApproachBounds { range: [tolerance, _], left, ways, .. } = self.bounds;
+        let start = if ways != Ways::Moves { Start::Anywhere } else { Start::Nearer };
+        let found = match place {
+            Place::Vertex(v) if mesh.ball(v).is_empty() => None,
+            Place::Vertex(v) => {
+                let goal = match towards {
+                    Towards::Crease => surface_of(mesh, v),
+                    Towards::OneTube => nearest_on_tube(mesh, mesh.points[v as usize], mesh.sides(v)),
+                };
+                goal.map(|goal| (v, [mesh.points[v as usize], goal]))
+            }
+            Place::Between(chord) => insert_in_chord(mesh, chord, LEAST_PERTURBED, (start, towards)),
+        };
+        let Some((v, [start, goal])) = found else { return Ok(false) };
+        let off = goal.distance(start);
+        // Others may have brought it nearer.
+        if off <= tolerance {
+            return Ok(false);
+        }
+        let near: Vec<u32> = near.iter().copied().chain([v]).collect();
+        let needed = Threshold::of(LEAST_PERTURBED);
+        let mut nearest = f64::INFINITY;
+        let advances = if ways != Ways::Moves { MORE_ADVANCES } else { ADVANCES };
+        for _ in 0..advances {
+            let advance = mesh.begin_trial();
+            let from = mesh.points[v as usize];
+            place_first(mesh, v, from, goal, &needed);
+            mend(mesh, &near)?;
+            let now = if mesh.ball(v).is_empty() { f64::INFINITY } else { goal.distance(mesh.points[v as usize]) };
+            if now >= nearest && ways != Ways::Moves {
+                mesh.take_back(advance);
+                break;
+            }
+            mesh.keep_trial();
+            nearest = now;
+            if now < NEAR * tolerance {
+                break;
+            }
+        }
+        Ok(nearest <= left * off)
+    }
+
+    /// Whether the surface at an edge has come nearer with an end that moved along the surface: no new vertex is in the way of others.
+    fn slide(
+        &mut self,
+        mesh: &mut ImprovementMesh,
+        (ends, eighths): ([u32; 2], u8),
+        end: usize,
+        near: &[u32],
+        mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
+    ) -> Result<bool> {
+        let v = ends[end];
+        let Some(cut) = cut_of_edge(mesh, ends, eighths, Towards::Crease) else { return Ok(false) };
+        // Where more labels meet it would leave their line.
+        if mesh.fixed[v as usize] || mesh.sides(v) != cut.sides {
+            return Ok(false);
+        }
+        let off = self.cuts.farthest_around(mesh, &ends);
+        if !place_first(mesh, v, mesh.points[v as usize], cut.goal, &Threshold::of(LEAST_PERTURBED)) {
+            return Ok(false);
+        }
+        mend(mesh, near)?;
+        Ok(self.cuts.farthest_around(mesh, &ends) <= self.bounds.left * off)
+    }
 }
 
 /// How far off and what, the farthest first.
@@ -267,78 +367,6 @@ fn surface_of(mesh: &ImprovementMesh, v: u32) -> Option<DVec3> {
     mesh.surface.project(mesh.points[v as usize], mesh.sides(v), REACH * mesh.surface.spacing().max_element())
 }
 
-/// Whether a vertex of a place has come nearer, a new one where it is a chord.
-fn bring_nearer(
-    mesh: &mut ImprovementMesh,
-    (place, towards): (Place, Towards),
-    &ApproachBounds { range: [tolerance, _], left, ways, .. }: &ApproachBounds,
-    near: &[u32],
-    mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
-) -> Result<bool> {
-    let start = if ways != Ways::Moves { Start::Anywhere } else { Start::Nearer };
-    let found = match place {
-        Place::Vertex(v) if mesh.ball(v).is_empty() => None,
-        Place::Vertex(v) => {
-            let goal = match towards {
-                Towards::Crease => surface_of(mesh, v),
-                Towards::OneTube => nearest_on_tube(mesh, mesh.points[v as usize], mesh.sides(v)),
-            };
-            goal.map(|goal| (v, [mesh.points[v as usize], goal]))
-        }
-        Place::Between(chord) => insert_in_chord(mesh, chord, LEAST_PERTURBED, (start, towards)),
-    };
-    let Some((v, [start, goal])) = found else { return Ok(false) };
-    let off = goal.distance(start);
-    // Others may have brought it nearer.
-    if off <= tolerance {
-        return Ok(false);
-    }
-    let near: Vec<u32> = near.iter().copied().chain([v]).collect();
-    let needed = Threshold::of(LEAST_PERTURBED);
-    let mut nearest = f64::INFINITY;
-    let advances = if ways != Ways::Moves { MORE_ADVANCES } else { ADVANCES };
-    for _ in 0..advances {
-        let advance = mesh.begin_trial();
-        let from = mesh.points[v as usize];
-        place_first(mesh, v, from, goal, &needed);
-        mend(mesh, &near)?;
-        let now = if mesh.ball(v).is_empty() { f64::INFINITY } else { goal.distance(mesh.points[v as usize]) };
-        if now >= nearest && ways != Ways::Moves {
-            mesh.take_back(advance);
-            break;
-        }
-        mesh.keep_trial();
-        nearest = now;
-        if now < NEAR * tolerance {
-            break;
-        }
-    }
-    Ok(nearest <= left * off)
-}
-
-/// Whether the surface at an edge has come nearer with an end that moved along the surface: no new vertex is in the way of others.
-fn slide(
-    mesh: &mut ImprovementMesh,
-    (ends, eighths): ([u32; 2], u8),
-    end: usize,
-    &ApproachBounds { left, .. }: &ApproachBounds,
-    near: &[u32],
-    mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
-) -> Result<bool> {
-    let v = ends[end];
-    let Some(cut) = cut_of_edge(mesh, ends, eighths, Towards::Crease) else { return Ok(false) };
-    // Where more labels meet it would leave their line.
-    if mesh.fixed[v as usize] || mesh.sides(v) != cut.sides {
-        return Ok(false);
-    }
-    let off = farthest_around(mesh, &ends, Around::Holds);
-    if !place_first(mesh, v, mesh.points[v as usize], cut.goal, &Threshold::of(LEAST_PERTURBED)) {
-        return Ok(false);
-    }
-    mend(mesh, near)?;
-    Ok(farthest_around(mesh, &ends, Around::Holds) <= left * off)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -346,6 +374,21 @@ mod tests {
     use crate::lattice::test_images::{fork_distance, voxel_image};
     use crate::mesh::validation::check_mixed_mesh;
     use crate::parameters::ParameterSet;
+
+    #[test]
+    fn a_place_is_tried_again_when_something_around_it_has_changed() {
+        let (place, near) = (Place::Vertex(7), [6, 7, 8]);
+        let mut tried = Tried::default();
+        tried.note_change(vec![6]);
+        assert!(!tried.is_in_vain(&place, &near));
+        tried.note_in_vain(place);
+        tried.note_change(vec![1, 2]);
+        assert!(tried.is_in_vain(&place, &near) && !tried.is_in_vain(&Place::Vertex(8), &near));
+        tried.note_change(vec![2, 8]);
+        assert!(!tried.is_in_vain(&place, &near));
+        tried.note_in_vain(place);
+        assert!(tried.is_in_vain(&place, &near));
+    }
 
     #[test]
     fn vessels_in_their_walls_end_where_their_voxels_do() {

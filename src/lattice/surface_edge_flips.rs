@@ -22,9 +22,10 @@
 use crate::index::Label;
 use crate::lattice::element_score::Part;
 use crate::lattice::improvement_mesh::{ImprovementMesh, part_of};
-use crate::lattice::local_transformations::{LONGEST_RING, best_triangulation, creates_known_edge, worst_cut};
+use crate::lattice::local_transformations::{LONGEST_RING, best_triangulation, creates_known_edge};
 use crate::lattice::scaffold::SCAFFOLD_ANGLE;
 use crate::lattice::subvoxel_surface::Side;
+use crate::lattice::surface_cuts::worst_cut;
 
 /// Share of what the surface cuts off that may be left.
 const LEFT: f64 = 0.8;
