@@ -23,7 +23,7 @@
 //!
 //! # Cost
 //! One distance per surface vertex, edge and face, in parallel; a budget of places for the mesh, each touches a few rings of
-//! tets.
+//! tets. Most of the surface around a place is measured once for all of its ways and for the places beside it ([`KnownCuts`]).
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -84,9 +84,9 @@ pub struct ApproachBounds {
     pub around: Around,
     /// What is tried.
     pub ways: Ways,
-    /// How often the places are gone through, and how many of them at most each time.
+    /// How often the places are gone through.
     pub passes: usize,
-    /// See `passes`.
+    /// How many of the farthest count each time, those that are left out among them.
     pub budget: usize,
 }
 
@@ -344,7 +344,8 @@ fn far_places(mesh: &ImprovementMesh, tolerance: f64, context: &RunContext) -> R
     let mut far: Vec<(f64, Place)> = context.until_cancelled(vertices).filter_map(of_vertex).collect();
     // What a cancelled run left out above is never seen: this fails too.
     let has_creases = mesh.surface.has_mostly_vessels();
-    let listed = chords(mesh, if has_creases { LEAST_DEPTH * tolerance } else { tolerance }, context)?;
+    let least = if has_creases { LEAST_DEPTH * tolerance } else { tolerance };
+    let listed = chords(mesh, least, context)?;
     let of_chord = |(off, chord): (f64, Chord)| {
         let off = if has_creases { off.max(way_into_crease(mesh, &chord)) } else { off };
         (off > tolerance).then_some((off, Place::Between(chord)))
