@@ -10,7 +10,7 @@
 //! 256 bytes per block that holds a voxel, 4 bytes per block of the box. One or two loads a look-up.
 
 /// Voxels of a block along an axis.
-const BLOCK: i32 = 4;
+pub const BLOCK: i32 = 4;
 
 /// Voxels of a block.
 const BLOCK_VOXELS: usize = (BLOCK * BLOCK * BLOCK) as usize;
@@ -65,6 +65,29 @@ impl VoxelIndex {
         (number != NONE).then_some(number as usize)
     }
 
+    /// Number of blocks that hold a voxel.
+    pub fn block_count(&self) -> usize {
+        self.blocks.len()
+    }
+
+    /// The numbers of the voxels of a block, along rows and slices.
+    pub fn voxels_of(&self, block: usize) -> impl Iterator<Item = usize> {
+        self.blocks[block].iter().filter(|number| **number != NONE).map(|number| *number as usize)
+    }
+
+    /// The blocks with places from `low` to `high` that hold a voxel, and the first place of each.
+    pub fn blocks_between(&self, low: [i32; 3], high: [i32; 3]) -> impl Iterator<Item = (usize, [i32; 3])> {
+        let range = move |d: usize| {
+            let from = low[d].div_euclid(BLOCK).max(self.first[d]);
+            from..=high[d].div_euclid(BLOCK).min(self.first[d] + self.count[d] - 1)
+        };
+        let rows = range(2).flat_map(move |k| range(1).map(move |j| (j, k)));
+        rows.flat_map(move |(j, k)| range(0).map(move |i| [i, j, k].map(|x| x * BLOCK))).filter_map(|corner| {
+            let block = self.table[self.block_of(corner)?];
+            (block != NONE).then_some((block as usize, corner))
+        })
+    }
+
     /// Place in the table of the block around a voxel.
     fn block_of(&self, at: [i32; 3]) -> Option<usize> {
         let [i, j, k]: [i32; 3] = std::array::from_fn(|d| at[d].div_euclid(BLOCK) - self.first[d]);
@@ -92,5 +115,24 @@ mod tests {
             assert_eq!(index.get(*at), some.iter().position(|other| other == at), "{at:?}");
         }
         assert_eq!(VoxelIndex::new(&[]).get([0; 3]), None);
+    }
+
+    #[test]
+    fn blocks_of_a_box_hold_the_voxels_there() {
+        let all: Vec<[i32; 3]> = (0..1000).map(|n| [n % 10 - 3, n / 10 % 10 + 5, n / 100 - 9]).collect();
+        let some: Vec<[i32; 3]> = all.into_iter().filter(|[i, j, k]| (i - j) % 5 == 0 && *k != -4).collect();
+        let index = VoxelIndex::new(&some);
+        let (low, high) = ([-1, 6, -100], [3, 20, -3]);
+        let mut found: Vec<usize> = Vec::new();
+        for (block, corner) in index.blocks_between(low, high) {
+            let is_there = |voxel: &usize| (0..3).all(|d| (0..BLOCK).contains(&(some[*voxel][d] - corner[d])));
+            assert!(index.voxels_of(block).all(|voxel| is_there(&voxel)));
+            found.extend(index.voxels_of(block));
+        }
+        let is_within = |voxel: &usize| (0..3).all(|d| (low[d]..=high[d]).contains(&some[*voxel][d]));
+        assert!((0..some.len()).filter(is_within).all(|voxel| found.contains(&voxel)));
+        assert!(found.len() < some.len() && index.blocks_between([40; 3], [50; 3]).next().is_none());
+        assert_eq!((0..index.block_count()).map(|block| index.voxels_of(block).count()).sum::<usize>(), some.len());
+        assert!(VoxelIndex::new(&[]).blocks_between([-9; 3], [9; 3]).next().is_none());
     }
 }

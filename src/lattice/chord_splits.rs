@@ -144,11 +144,25 @@ pub fn flip(mesh: &mut ImprovementMesh, chord: &Chord, bound: f64) -> bool {
 /// # Errors
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn chords(mesh: &ImprovementMesh, tolerance: f64, context: &RunContext) -> Result<Vec<(f64, Chord)>> {
+    chords_where(mesh, tolerance, |_| true, context)
+}
+
+/// As [`chords`], of those whose vertices are wanted.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn chords_where(
+    mesh: &ImprovementMesh,
+    tolerance: f64,
+    is_wanted: impl Fn(&[u32]) -> bool + Sync,
+    context: &RunContext,
+) -> Result<Vec<(f64, Chord)>> {
     context.check()?;
     let places = if mesh.surface.has_mostly_vessels() { Places::Farthest } else { Places::Middles };
+    let is_wanted = &is_wanted;
     let of_vertex = |v: u32| {
         let star = mesh.stars().of(v).unwrap_or(&[]);
-        star.iter().flat_map(move |face| of_face(mesh, v, face, tolerance, places)).flatten()
+        star.iter().flat_map(move |face| of_face(mesh, v, face, (tolerance, places), is_wanted)).flatten()
     };
     let vertices = (0..mesh.points.len() as u32).into_par_iter().with_min_len(1024);
     let mut far: Vec<(f64, Chord)> = context.until_cancelled(vertices).flat_map_iter(of_vertex).collect();
@@ -160,13 +174,13 @@ pub fn chords(mesh: &ImprovementMesh, tolerance: f64, context: &RunContext) -> R
 }
 
 /// The chords that are listed at one vertex of a face: the edge that begins there, at its smaller vertex, and the face, at its
-/// smallest, each with how far off its middle is, where that is more than `tolerance`.
+/// smallest, each with how far off its middle is, where that is more than `tolerance` and its vertices are wanted.
 fn of_face(
     mesh: &ImprovementMesh,
     v: u32,
     face: &SurfaceFace,
-    tolerance: f64,
-    places: Places,
+    (tolerance, places): (f64, Places),
+    is_wanted: &impl Fn(&[u32]) -> bool,
 ) -> [Option<(f64, Chord)>; 2] {
     let sides = mesh.labels_beside(face);
     let [w, u] = face.others;
@@ -176,7 +190,7 @@ fn of_face(
     let off = |middle: DVec3| mesh.surface.depth(middle, sides[0], sides[1]).map(f64::abs);
     let edge = |v: u32, w: u32| off(at(v).midpoint(at(w)));
     let is_far = |off: &f64| *off > tolerance;
-    let along = (next > v).then(|| {
+    let along = (next > v && is_wanted(&[v, next])).then(|| {
         let middle = edge(v, next)?;
         let place = |eighths: u8| at(v).lerp(at(next), f64::from(eighths) / 8.0);
         let (far, eighths) = match places {
@@ -188,7 +202,8 @@ fn of_face(
         is_far(&far).then_some((far, Chord::Edge([v, next], eighths)))
     });
     // Where all vertices are on a border plane the face lies in it.
-    let across = (w > v && u > v && !is_in_border(mesh, [v, w, u])).then(|| {
+    let is_face_wanted = w > v && u > v && is_wanted(&[v, w, u]) && !is_in_border(mesh, [v, w, u]);
+    let across = is_face_wanted.then(|| {
         // The edges are measured for the few faces that are far off: this is asked of every face of the mesh.
         let middle = off((at(v) + at(w) + at(u)) / 3.0).filter(is_far)?;
         let is_farthest = [[v, w], [w, u], [u, v]].iter().all(|[p, q]| edge(*p, *q).is_none_or(|off| off < middle));

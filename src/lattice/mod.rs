@@ -27,6 +27,7 @@ pub mod candidate_mesh;
 pub mod centerlines;
 pub mod change_log;
 pub mod chord_splits;
+pub mod deepest_segments;
 pub mod duplicated_interfaces;
 pub mod elastic_model;
 pub mod element_labels;

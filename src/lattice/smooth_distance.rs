@@ -53,8 +53,8 @@ use crate::image::label_image::LabelImage;
 use crate::index::Label;
 use crate::lattice::bcc_lattice::floor_of;
 use crate::lattice::centerlines::TubeNode;
+use crate::lattice::deepest_segments::depth_in_segment;
 use crate::lattice::projected_gradient::{Bricks, Descent, Energy, Unknown};
-use crate::lattice::tube_fitting::depth_in_segment;
 use crate::lattice::tubular_parts::{TubularDistance, tubular_distances};
 
 /// Projected gradient steps that lessen the bending, then its variation. On vessels of 1.5 to 3 voxels radius the surface is

@@ -22,8 +22,8 @@
 //! Never more tets are low than before, and the lowest is no lower.
 //!
 //! # Cost
-//! One distance per surface vertex, edge and face, in parallel; a budget of places for the mesh, each touches a few rings of
-//! tets. Most of the surface around a place is measured once for all of its ways and for the places beside it ([`KnownCuts`]).
+//! One distance per surface vertex, edge and face, in parallel, in later passes of those whose vertices were touched; a budget of
+//! places for the mesh, each touches a few rings of tets. Most of the surface around a place is measured once for all of its ways and for the places beside it ([`KnownCuts`]).
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -32,7 +32,7 @@ use rustc_hash::FxHashMap;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::lattice::chord_splits::{
-    Chord, Start, Towards, chords, cut_of_edge, flip, insert_in_chord, nearest_on_tube, place_first,
+    Chord, Start, Towards, chords_where, cut_of_edge, flip, insert_in_chord, nearest_on_tube, place_first,
 };
 use crate::lattice::element_score::Threshold;
 use crate::lattice::improvement_mesh::ImprovementMesh;
@@ -124,12 +124,20 @@ pub fn approach_surface(
     context: &RunContext,
 ) -> Result<usize> {
     let mut approach = Approach { bounds, cuts: KnownCuts::default(), tried: Tried::default() };
-    let mut nearer = 0;
-    for _ in 0..bounds.passes {
+    let (mut nearer, mut far) = (0, Vec::new());
+    for pass in 0..bounds.passes {
         mesh.refresh_stars(context)?;
-        let mut far = far_places(mesh, bounds.range[0], context)?;
-        far.retain(|(off, _)| *off < bounds.range[1]);
-        for (_, place) in far.into_iter().take(bounds.budget) {
+        if pass == 0 {
+            far = far_places(mesh, bounds.range, |_| true, context)?;
+        } else {
+            // The others are where they were.
+            let touched = approach.tried.take_touched(mesh.points.len());
+            let is_touched = |corners: &[u32]| corners.iter().any(|v| touched[*v as usize]);
+            far.retain(|(_, place)| !is_touched(place.corners()));
+            far.extend(far_places(mesh, bounds.range, is_touched, context)?);
+            sort_farthest_first(&mut far);
+        }
+        for &(_, place) in far.iter().take(bounds.budget) {
             context.check()?;
             let near = vertices_around(mesh, place.corners());
             if !approach.tried.is_in_vain(&place, &near) {
@@ -162,6 +170,8 @@ struct Tried {
     touched: FxHashMap<u32, usize>,
     /// The last change before a place was tried in vain.
     in_vain: FxHashMap<Place, usize>,
+    /// Changes before [`take_touched`](Self::take_touched) was last asked.
+    taken: usize,
 }
 
 impl Tried {
@@ -171,9 +181,19 @@ impl Tried {
         self.in_vain.get(place).is_some_and(|then| near.iter().all(|v| touched(v) <= *then))
     }
 
-    fn note_change(&mut self, touched: Vec<u32>) {
+    fn note_change(&mut self, touched: impl IntoIterator<Item = u32>) {
         self.changes += 1;
         self.touched.extend(touched.into_iter().map(|v| (v, self.changes)));
+    }
+
+    /// For each of so many vertices whether a change that stayed touched it since this was last asked.
+    fn take_touched(&mut self, vertices: usize) -> Vec<bool> {
+        let mut is_touched = vec![false; vertices];
+        for (v, _) in self.touched.iter().filter(|(_, change)| **change > self.taken) {
+            is_touched[*v as usize] = true;
+        }
+        self.taken = self.changes;
+        is_touched
     }
 
     fn note_in_vain(&mut self, place: Place) {
@@ -204,12 +224,12 @@ impl Approach {
         };
         let before = (Outcome::of(mesh, near.clone(), self.bounds.wanted), self.farthest_around(mesh, &near));
         for way in ways {
-            let trial = mesh.begin_trial();
+            let (trial, count) = (mesh.begin_trial(), mesh.points.len() as u32);
             if self.try_way(mesh, *way, place, &near, mend)? {
                 let touched = mesh.touched_since(trial);
                 if self.is_no_worse(mesh, [&near, &touched].map(|v| v.as_slice()).concat(), &before) {
                     mesh.keep_trial();
-                    self.tried.note_change(touched);
+                    self.tried.note_change(touched.into_iter().chain(count..mesh.points.len() as u32));
                     return Ok(true);
                 }
             }
@@ -332,11 +352,17 @@ impl Approach {
     }
 }
 
-/// How far off and what, the farthest first.
-fn far_places(mesh: &ImprovementMesh, tolerance: f64, context: &RunContext) -> Result<Vec<(f64, Place)>> {
+/// How far off and what, of the places whose vertices are wanted, the farthest first.
+fn far_places(
+    mesh: &ImprovementMesh,
+    [tolerance, farthest]: [f64; 2],
+    is_wanted: impl Fn(&[u32]) -> bool + Sync,
+    context: &RunContext,
+) -> Result<Vec<(f64, Place)>> {
     context.check()?;
     let of_vertex = |v: u32| {
-        let is_candidate = mesh.is_on_surface(v) && !mesh.fixed[v as usize] && !mesh.ball(v).is_empty();
+        let is_on_surface = mesh.is_on_surface(v) && !mesh.fixed[v as usize] && !mesh.ball(v).is_empty();
+        let is_candidate = is_on_surface && is_wanted(&[v]);
         let off = is_candidate.then(|| surface_of(mesh, v))?.map(|goal| goal.distance(mesh.points[v as usize]))?;
         (off > tolerance).then_some((off, Place::Vertex(v)))
     };
@@ -345,7 +371,7 @@ fn far_places(mesh: &ImprovementMesh, tolerance: f64, context: &RunContext) -> R
     // What a cancelled run left out above is never seen: this fails too.
     let has_creases = mesh.surface.has_mostly_vessels();
     let least = if has_creases { LEAST_DEPTH * tolerance } else { tolerance };
-    let listed = chords(mesh, least, context)?;
+    let listed = chords_where(mesh, least, &is_wanted, context)?;
     let of_chord = |(off, chord): (f64, Chord)| {
         let off = if has_creases { off.max(way_into_crease(mesh, &chord)) } else { off };
         (off > tolerance).then_some((off, Place::Between(chord)))
@@ -353,8 +379,13 @@ fn far_places(mesh: &ImprovementMesh, tolerance: f64, context: &RunContext) -> R
     let listed = listed.into_par_iter().with_min_len(64);
     far.par_extend(context.until_cancelled(listed).filter_map(of_chord));
     context.check()?;
-    far.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
+    far.retain(|(off, _)| *off < farthest);
+    sort_farthest_first(&mut far);
     Ok(far)
+}
+
+fn sort_farthest_first(far: &mut [(f64, Place)]) {
+    far.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
 }
 
 /// How far off an edge is in the direction in which all the surface around leads, mm; 0 for a face.
@@ -377,7 +408,7 @@ mod tests {
     use crate::parameters::ParameterSet;
 
     #[test]
-    fn a_place_is_tried_again_when_something_around_it_has_changed() {
+    fn places_are_tried_and_measured_again_when_something_around_them_has_changed() {
         let (place, near) = (Place::Vertex(7), [6, 7, 8]);
         let mut tried = Tried::default();
         tried.note_change(vec![6]);
@@ -389,6 +420,18 @@ mod tests {
         assert!(!tried.is_in_vain(&place, &near));
         tried.note_in_vain(place);
         assert!(tried.is_in_vain(&place, &near));
+        let take = |tried: &mut Tried| -> Vec<usize> {
+            tried
+                .take_touched(10)
+                .into_iter()
+                .enumerate()
+                .filter_map(|(v, is_touched)| is_touched.then_some(v))
+                .collect()
+        };
+        assert_eq!(take(&mut tried), [1, 2, 6, 8]);
+        assert!(take(&mut tried).is_empty());
+        tried.note_change(vec![2, 9]);
+        assert_eq!(take(&mut tried), [2, 9]);
     }
 
     #[test]

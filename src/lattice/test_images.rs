@@ -6,8 +6,11 @@ use crate::context::RunContext;
 use crate::image::distance_transform::distance_to_other_labels;
 use crate::image::grid::Grid;
 use crate::image::label_image::LabelImage;
+use crate::image::voxel_index::VoxelIndex;
 use crate::index::Label;
 use crate::lattice::bcc_lattice::{Field, LatticeFrame};
+use crate::lattice::centerlines::{Tube, TubeNode};
+use crate::lattice::deepest_segments::{BoundaryVoxels, depth_in_segment};
 use crate::lattice::red_green::RedGreenLattice;
 
 /// An image of `n^3` voxels of 1 mm labelled by a function of the voxel centre.
@@ -41,4 +44,24 @@ pub fn with_lattice<T>(image: &LabelImage, spacing: f64, work: impl FnOnce(RedGr
     let distance = distance_to_other_labels(image, &context).unwrap();
     let frame = LatticeFrame::new(image, spacing).unwrap();
     work(RedGreenLattice::new(frame, Field::new(image, &distance), 1 << 22, &context).unwrap(), &context)
+}
+
+/// All voxels of a cube, and whether they are inside of something.
+pub fn boundary_voxels(size: i32, spacing: DVec3, is_inside: impl Fn(DVec3) -> bool) -> BoundaryVoxels {
+    let voxels: Vec<[i32; 3]> = (0..size * size * size).map(|n| [n % size, n / size % size, n / size / size]).collect();
+    let place = |at: &[i32; 3]| DVec3::from_array(at.map(f64::from)) * spacing;
+    let is_inside = voxels.iter().map(|at| is_inside(place(at))).collect();
+    BoundaryVoxels { index: VoxelIndex::new(&voxels), voxels, is_inside, spacing }
+}
+
+/// A tube of nodes with their radii.
+pub fn tube(nodes: &[([f64; 3], f64)]) -> Tube {
+    Tube { nodes: nodes.iter().map(|(at, r)| TubeNode { center: DVec3::from(*at), radius: *r }).collect() }
+}
+
+/// Depth of a point in the tube that it is deepest in.
+pub fn tubes_depth(tubes: &[Tube], point: DVec3) -> f64 {
+    let of_tube =
+        |t: &Tube| (0..t.segment_count()).map(|n| depth_in_segment(point, &t.segment(n)).0).collect::<Vec<_>>();
+    tubes.iter().flat_map(of_tube).fold(f64::NEG_INFINITY, f64::max)
 }

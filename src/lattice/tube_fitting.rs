@@ -3,7 +3,7 @@
 //! # Method
 //! The depth of a point is the largest of `r(t) - |x - c(t)|` over the segments of all tubes, `t` the place along the segment's
 //! axis nearest to it. Gauss-Newton steps lessen, in voxels:
-//! 1. for each voxel near the boundary the square of what its depth lacks to [`MARGIN`] on its side: where a surface passes in the
+//! 1. for each voxel near the boundary the square of what its depth lacks to [`MARGIN`](crate::lattice::deepest_segments::MARGIN) on its side: where a surface passes in the
 //!    middle between the centres of both sides, neither pulls more. What lacks much counts linearly.
 //! 2. for each tube the squares of the second differences of its axis and of its radius, and the first ones of its radius. All are
 //!    weighed down where they are large ([GemanMcClure1987]): a kink is one place, not a bend of all.
@@ -18,7 +18,8 @@
 //!
 //! From an end within another tube to where the tube has come out of that, no bend is weighed down: nothing there tells of a kink.
 //!
-//! A voxel belongs to the segment that it is deepest in; each tube has its own banded system, solved by [`BandedSystem`].
+//! A voxel belongs to the segment that it is deepest in ([`deepest_segments`](crate::lattice::deepest_segments)); each tube has its
+//! own banded system, solved by [`BandedSystem`].
 //! ```text
 //!      o  o   o  o  o              o  o   o  o  o
 //!     ___________________          ______________
@@ -34,26 +35,23 @@
 //! Labels in place of intensities: a margin in place of an edge profile. All tubes at once, their union in place of joints.
 //!
 //! # Invariants
-//! Radii are at least [`LEAST_RADIUS`]. The same bits for any number of threads: voxels are compared in chunks, and each
-//! tube takes its voxels in their order.
+//! Radii are at least [`LEAST_RADIUS`]. The same bits for any number of threads: each tube takes its voxels in their order.
 //!
 //! # Cost
-//! Each step compares the voxels with the few segments that they may be deepest in; these are looked for within three voxels of
-//! each segment, every few steps. Parallel over chunks of voxels and over tubes.
+//! Each step compares the voxels that may lack depth with the few segments that they may be deepest in, and each end with the
+//! tubes of which the box is around it. Parallel over blocks of voxels and over tubes.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::context::RunContext;
 use crate::error::Result;
-use crate::image::voxel_index::VoxelIndex;
 use crate::lattice::banded_system::{BANDWIDTH, BandedSystem};
 use crate::lattice::centerlines::{Tube, TubeNode};
+use crate::lattice::deepest_segments::{
+    BoundaryVoxels, Deepest, LARGEST_STEP, NearSegments, depth_in_segment, segments_of,
+};
 use crate::lattice::tube_joints::{Joint, place_of};
-
-/// Depth that each voxel ought to have on its side, in mean spacings. With more there are more voxels outside of a thin tube than
-/// within that push. Of 16 vessel trees the tubes are off by more than 0.3 voxel at 35 places with 0.5, 23 with this, 30 with 0.3.
-pub const MARGIN: f64 = 0.4;
 
 /// Lack of depth from which on it counts linearly, in mean spacings: voxels that no tube explains do not pull all tubes.
 const LINEAR: f64 = 1.5;
@@ -95,12 +93,8 @@ const HIDDEN: f64 = 2.0;
 /// Damping of a step: where tubes overlap, others than these are as good.
 const DAMPING: f64 = 1.0;
 
-/// Largest change of a node in a step, and one after which there is none, in mean spacings.
-const LARGEST_STEP: f64 = 0.7;
+/// Change of a node after which there is none, in mean spacings.
 const LAST_STEP: f64 = 0.02;
-
-/// How far nodes may have moved and become wider together, in mean spacings, until the segments near each voxel are looked for again.
-const LARGEST_MOVE: f64 = 0.5;
 
 /// Least radius, in mean spacings.
 pub const LEAST_RADIUS: f64 = 0.3;
@@ -108,103 +102,13 @@ pub const LEAST_RADIUS: f64 = 0.3;
 /// Least mean length of segments in the weights, in mean spacings: those of a tube of two nodes may vanish.
 const LEAST_SEGMENT: f64 = 0.3;
 
-/// How far outside of a segment voxels are compared with it, in mean spacings.
-const REACH: f64 = 3.0;
-
 /// Largest lack that is told, in mean spacings: voxels far from all tubes.
 const LARGEST_LACK: f64 = 3.0;
 
 /// Unknowns of a node: its centre and its radius.
 const UNKNOWNS: usize = 4;
 
-/// Voxels per task.
-const CHUNK: usize = 4096;
-
-/// No tube.
-const NONE: u32 = u32::MAX;
-
-/// Voxels near the boundary of a solid, in order.
-#[derive(Debug, Clone)]
-pub struct BoundaryVoxels {
-    /// Places in the image.
-    pub voxels: Vec<[i32; 3]>,
-    /// Numbers of the voxels.
-    pub index: VoxelIndex,
-    /// Whether each is inside of the solid.
-    pub is_inside: Vec<bool>,
-    /// Millimetres between voxels.
-    pub spacing: DVec3,
-}
-
-/// Where a voxel is deepest in the tubes.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Deepest {
-    /// Depth, mm; negative outside, minus infinity where no tube is near.
-    pub depth: f64,
-    tube: u32,
-    segment: u32,
-    /// Place along the segment, 0 to 1.
-    part: f64,
-}
-
-/// A segment of a tube, and its number there.
-#[derive(Debug, Clone, Copy)]
-struct Segment {
-    ends: [TubeNode; 2],
-    tube: u32,
-    segment: u32,
-}
-
-/// A voxel of a chunk, by its place in that, and the number of a segment near it.
-#[derive(Debug, Clone, Copy)]
-struct NearSegment {
-    slot: u32,
-    number: u32,
-}
-
-/// Which voxels have segments near them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Wanted {
-    All,
-    /// Those that may lack depth on their side.
-    Lacking,
-}
-
-/// The segments of all tubes, in order.
-fn segments_of(tubes: &[Tube]) -> Vec<Segment> {
-    let of_tube = |(tube, of): (usize, &Tube)| {
-        let segment = |n: usize, ends: [TubeNode; 2]| Segment { ends, tube: tube as u32, segment: n as u32 };
-        (0..of.segment_count()).map(|n| segment(n, of.segment(n))).collect::<Vec<_>>()
-    };
-    tubes.iter().enumerate().flat_map(of_tube).collect()
-}
-
-impl Deepest {
-    /// Number of the segment where those of each tube begin at `first`; 0 where no tube is near.
-    pub fn segment_of_all(&self, first: &[u32]) -> u32 {
-        first.get(self.tube as usize).map_or(0, |first| first + self.segment)
-    }
-}
-
 impl BoundaryVoxels {
-    /// Mean of the spacings, mm.
-    pub fn mean_spacing(&self) -> f64 {
-        self.spacing.element_sum() / 3.0
-    }
-
-    fn place(&self, voxel: usize) -> DVec3 {
-        DVec3::from_array(self.voxels[voxel].map(f64::from)) * self.spacing
-    }
-
-    fn side(&self, voxel: usize) -> f64 {
-        if self.is_inside[voxel] { 1.0 } else { -1.0 }
-    }
-
-    /// What each voxel lacks to the margin on its side, mean spacings, 0 at least.
-    fn lack(&self, voxel: usize, depth: f64) -> f64 {
-        (MARGIN - self.side(voxel) * depth / self.mean_spacing()).max(0.0)
-    }
-
     /// What all voxels lack, mean spacings squared.
     pub fn loss(&self, tubes: &[Tube]) -> f64 {
         let of_voxel = |(voxel, found): (usize, &Deepest)| {
@@ -213,84 +117,6 @@ impl BoundaryVoxels {
         };
         self.deepest(tubes).iter().enumerate().map(of_voxel).sum()
     }
-
-    /// Where each voxel is deepest in some tubes.
-    pub fn deepest(&self, tubes: &[Tube]) -> Vec<Deepest> {
-        let segments = segments_of(tubes);
-        self.deepest_among(&segments, &self.near_segments(&segments, Wanted::All))
-    }
-
-    /// For each chunk of voxels the segments that each may be deepest in, also after the nodes have moved by [`LARGEST_MOVE`].
-    fn near_segments(&self, segments: &[Segment], wanted: Wanted) -> Vec<Vec<NearSegment>> {
-        let movable = LARGEST_MOVE * self.mean_spacing();
-        let of_chunk = |voxels: std::ops::Range<usize>| {
-            let mut near = Vec::new();
-            let mut deepest = vec![f64::NEG_INFINITY; voxels.len()];
-            // In order: a chunk is a range of slices.
-            let slices = [self.voxels[voxels.start][2], self.voxels[voxels.end - 1][2]];
-            for (number, Segment { ends, .. }) in segments.iter().enumerate() {
-                self.near_segment(ends, slices, |voxel| {
-                    if voxels.contains(&voxel) {
-                        let slot = voxel - voxels.start;
-                        let (depth, _) = depth_in_segment(self.place(voxel), ends);
-                        deepest[slot] = deepest[slot].max(depth);
-                        near.push((NearSegment { slot: slot as u32, number: number as u32 }, depth));
-                    }
-                });
-            }
-            // By as much a depth may fall until the next look, and another one rise.
-            let may_lack = |slot: usize| {
-                wanted == Wanted::All
-                    || self.lack(voxels.start + slot, deepest[slot] - self.side(voxels.start + slot) * movable) > 0.0
-            };
-            near.retain(|(segment, depth)| {
-                let slot = segment.slot as usize;
-                *depth >= deepest[slot] - 2.0 * movable && may_lack(slot)
-            });
-            near.sort_by_key(|(segment, _)| segment.slot);
-            near.into_iter().map(|(segment, _)| segment).collect()
-        };
-        let count = self.voxels.len();
-        let chunks = (0..count.div_ceil(CHUNK)).into_par_iter();
-        chunks.map(|chunk| of_chunk(chunk * CHUNK..((chunk + 1) * CHUNK).min(count))).collect()
-    }
-
-    /// Where each voxel is deepest in the segments near it.
-    fn deepest_among(&self, segments: &[Segment], near: &[Vec<NearSegment>]) -> Vec<Deepest> {
-        let none = Deepest { depth: f64::NEG_INFINITY, tube: NONE, segment: 0, part: 0.0 };
-        let mut found = vec![none; self.voxels.len()];
-        found.par_chunks_mut(CHUNK).zip(near).enumerate().for_each(|(chunk, (found, near))| {
-            for NearSegment { slot, number } in near {
-                let Segment { ends, tube, segment } = segments[*number as usize];
-                let (depth, part) = depth_in_segment(self.place(chunk * CHUNK + *slot as usize), &ends);
-                let deepest = &mut found[*slot as usize];
-                if depth > deepest.depth {
-                    *deepest = Deepest { depth, tube, segment, part };
-                }
-            }
-        });
-        found
-    }
-
-    /// Visits the voxels near a segment in a range of slices.
-    fn near_segment(&self, [a, b]: &[TubeNode; 2], slices: [i32; 2], mut visit: impl FnMut(usize)) {
-        let reach = a.radius.max(b.radius) + REACH * self.mean_spacing();
-        let low = ((a.center.min(b.center) - reach) / self.spacing).ceil().as_ivec3();
-        let high = ((a.center.max(b.center) + reach) / self.spacing).floor().as_ivec3();
-        for k in low.z.max(slices[0])..=high.z.min(slices[1]) {
-            for j in low.y..=high.y {
-                (low.x..=high.x).filter_map(|i| self.index.get([i, j, k])).for_each(&mut visit);
-            }
-        }
-    }
-}
-
-/// Depth of a point in a segment, mm, and the place along it that it belongs to.
-pub fn depth_in_segment(point: DVec3, [a, b]: &[TubeNode; 2]) -> (f64, f64) {
-    let way = b.center - a.center;
-    let square = way.length_squared();
-    let part = if square > 0.0 { ((point - a.center).dot(way) / square).clamp(0.0, 1.0) } else { 0.0 };
-    (a.radius + part * (b.radius - a.radius) - (point - a.center - way * part).length(), part)
 }
 
 /// Fits tubes to the voxels by at most `steps` steps; `joints` tell which ends meet; `partners`, if there are any, have as many
@@ -306,26 +132,19 @@ pub fn fit_tubes(
     steps: usize,
     context: &RunContext,
 ) -> Result<()> {
-    let (mut near, mut moved) = (Vec::new(), f64::INFINITY);
+    let mut near = NearSegments::default();
     for _ in 0..steps {
         context.check()?;
-        let segments = segments_of(tubes);
-        if moved > LARGEST_MOVE {
-            near = voxels.near_segments(&segments, Wanted::Lacking);
-            moved = 0.0;
-        }
-        let deepest = voxels.deepest_among(&segments, &near);
+        near.update(voxels, segments_of(tubes));
         let mut of_tube = vec![Vec::new(); tubes.len()];
-        for (voxel, found) in deepest.iter().enumerate() {
-            if found.tube != NONE && voxels.lack(voxel, found.depth) > 0.0 {
-                of_tube[found.tube as usize].push(voxel);
-            }
+        for (voxel, found) in near.lacking(voxels) {
+            of_tube[found.tube as usize].push((voxel, found));
         }
         let ends = ends_of(tubes, joints, voxels.mean_spacing());
         let beside = partners.map(|tubes_beside| (tubes_beside, median_wall(tubes, tubes_beside)));
-        let step = |(number, (tube, own)): (usize, (&mut Tube, &Vec<usize>))| {
+        let step = |(number, (tube, own)): (usize, (&mut Tube, &Vec<(usize, Deepest)>))| {
             let mut system = BandedSystem::new(UNKNOWNS * tube.nodes.len());
-            own.iter().for_each(|voxel| add_voxel(&mut system, tube, voxels, *voxel, &deepest[*voxel]));
+            own.iter().for_each(|(voxel, found)| add_voxel(&mut system, tube, voxels, *voxel, found));
             add_shape(&mut system, tube, ends[number].map(|end| end.hidden), voxels.mean_spacing());
             add_ends(&mut system, tube, &ends[number], voxels.mean_spacing());
             if let Some((partners, wall)) = beside {
@@ -333,33 +152,18 @@ pub fn fit_tubes(
             }
             take_step(tube, system, voxels.mean_spacing())
         };
-        let change = tubes.par_iter_mut().zip(&of_tube).enumerate().map(step).reduce(Change::default, Change::larger);
-        if change.wanted < LAST_STEP {
+        let change = tubes.par_iter_mut().zip(&of_tube).enumerate().map(step).reduce(|| 0.0, f64::max);
+        if change < LAST_STEP {
             break;
         }
-        moved += change.made;
     }
     Ok(())
 }
 
-/// Changes of nodes, mean spacings.
-#[derive(Debug, Clone, Copy, Default)]
-struct Change {
-    /// The largest of a centre or a radius that the system asks for.
-    wanted: f64,
-    /// The largest of a centre and a radius together that was made.
-    made: f64,
-}
-
-impl Change {
-    fn larger(self, other: Self) -> Self {
-        Self { wanted: self.wanted.max(other.wanted), made: self.made.max(other.made) }
-    }
-}
-
-/// Moves a tube to where its system is solved, or towards it.
-fn take_step(tube: &mut Tube, system: BandedSystem, unit: f64) -> Change {
-    let mut largest = Change::default();
+/// Moves a tube to where its system is solved, or towards it; returns the largest change of a centre or a radius that the system
+/// asks for, in mean spacings.
+fn take_step(tube: &mut Tube, system: BandedSystem, unit: f64) -> f64 {
+    let mut largest = 0.0f64;
     let changes = system.solve();
     for (node, change) in tube.nodes.iter_mut().zip(changes.chunks_exact(UNKNOWNS)) {
         let (way, wider) = (DVec3::from_slice(change), change[UNKNOWNS - 1]);
@@ -367,7 +171,7 @@ fn take_step(tube: &mut Tube, system: BandedSystem, unit: f64) -> Change {
         let part = (LARGEST_STEP / wanted).min(1.0);
         node.center += part * unit * way;
         node.radius = (node.radius + part * unit * wider).max(LEAST_RADIUS * unit);
-        largest = largest.larger(Change { wanted, made: part * (way.length() + wider.abs()) });
+        largest = largest.max(wanted);
     }
     largest
 }
@@ -433,7 +237,8 @@ struct EndTarget {
 
 /// For each tube what its ends are drawn to.
 fn ends_of(tubes: &[Tube], joints: &[Joint], unit: f64) -> Vec<[EndTarget; 2]> {
-    let of_tube = |number: usize| [false, true].map(|is_last| end_within(tubes, number, is_last, unit));
+    let hosts = Hosts::new(tubes);
+    let of_tube = |number: usize| [false, true].map(|is_last| end_within(&hosts, number, is_last, unit));
     let mut ends: Vec<[EndTarget; 2]> = (0..tubes.len()).into_par_iter().map(of_tube).collect();
     for joint in joints {
         let place = place_of(joint, tubes);
@@ -446,14 +251,14 @@ fn ends_of(tubes: &[Tube], joints: &[Joint], unit: f64) -> Vec<[EndTarget; 2]> {
 }
 
 /// The tube that an end lies deepest in, if it lies in one.
-fn end_within(tubes: &[Tube], number: usize, is_last: bool, unit: f64) -> EndTarget {
-    let nodes = &tubes[number].nodes;
+fn end_within(hosts: &Hosts, number: usize, is_last: bool, unit: f64) -> EndTarget {
+    let nodes = &hosts.tubes[number].nodes;
     if nodes.len() < 2 {
         return EndTarget::default();
     }
     let from_end = |n: usize| nodes[if is_last { nodes.len() - 1 - n } else { n }].center;
-    let Some(found) = host_of(tubes, number, from_end(0), 0.0) else { return EndTarget::default() };
-    let host = &tubes[found.tube];
+    let Some(found) = hosts.host_of(number, from_end(0), 0.0) else { return EndTarget::default() };
+    let host = &hosts.tubes[found.tube];
     let is_hidden = |n: &usize| {
         let depth = |segment: usize| depth_in_segment(from_end(*n), &host.segment(segment)).0;
         (0..host.segment_count()).any(|segment| depth(segment) > -HIDDEN * unit)
@@ -474,18 +279,60 @@ pub struct Place {
     pub part: f64,
 }
 
-/// Where on the axes of the tubes but `number` a point belongs that is deeper than `least` (mm) in one, by the one it is deepest in.
-pub fn host_of(tubes: &[Tube], number: usize, point: DVec3, least: f64) -> Option<Place> {
-    let mut deepest = (least, None);
-    for (tube, other) in tubes.iter().enumerate().filter(|(tube, _)| *tube != number) {
-        for segment in 0..other.segment_count() {
-            let (depth, part) = depth_in_segment(point, &other.segment(segment));
-            if depth > deepest.0 {
-                deepest = (depth, Some(Place { tube, segment, part }));
+/// Tubes that points may lie in, each with the box around its axis: most are far from a point.
+pub struct Hosts<'a> {
+    tubes: &'a [Tube],
+    boxes: Vec<AxisBox>,
+}
+
+/// The box around the axis of a tube, mm, and the largest radius.
+struct AxisBox {
+    low: DVec3,
+    high: DVec3,
+    radius: f64,
+}
+
+impl AxisBox {
+    fn of(tube: &Tube) -> Self {
+        let first = tube.nodes[0];
+        let start = Self { low: first.center, high: first.center, radius: first.radius };
+        let add = |all: Self, node: &TubeNode| Self {
+            low: all.low.min(node.center),
+            high: all.high.max(node.center),
+            radius: all.radius.max(node.radius),
+        };
+        tube.nodes.iter().fold(start, add)
+    }
+
+    /// A bound of the depth of a point in the tube, mm.
+    fn largest_depth(&self, point: DVec3) -> f64 {
+        self.radius - point.distance(point.clamp(self.low, self.high))
+    }
+}
+
+impl<'a> Hosts<'a> {
+    /// These tubes.
+    pub fn new(tubes: &'a [Tube]) -> Self {
+        Self { tubes, boxes: tubes.iter().map(AxisBox::of).collect() }
+    }
+
+    /// Where on the axes of the tubes but `number` a point belongs that is deeper than `least` (mm) in one, by the one it is deepest
+    /// in.
+    pub fn host_of(&self, number: usize, point: DVec3, least: f64) -> Option<Place> {
+        let mut deepest = (least, None);
+        for (tube, other) in self.tubes.iter().enumerate().filter(|(tube, _)| *tube != number) {
+            if self.boxes[tube].largest_depth(point) <= deepest.0 {
+                continue;
+            }
+            for segment in 0..other.segment_count() {
+                let (depth, part) = depth_in_segment(point, &other.segment(segment));
+                if depth > deepest.0 {
+                    deepest = (depth, Some(Place { tube, segment, part }));
+                }
             }
         }
+        deepest.1
     }
-    deepest.1
 }
 
 /// The distances of the ends from what they are drawn to, and the radii that are larger than there.
@@ -536,31 +383,15 @@ const _: () = assert!(BANDWIDTH >= 3 * UNKNOWNS - 1, "second differences couple 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// All voxels of a cube, and whether they are in some tubes.
-    fn boundary(size: i32, spacing: DVec3, is_inside: impl Fn(DVec3) -> bool) -> BoundaryVoxels {
-        let voxels: Vec<[i32; 3]> =
-            (0..size * size * size).map(|n| [n % size, n / size % size, n / size / size]).collect();
-        let place = |at: &[i32; 3]| DVec3::from_array(at.map(f64::from)) * spacing;
-        let is_inside = voxels.iter().map(|at| is_inside(place(at))).collect();
-        BoundaryVoxels { index: VoxelIndex::new(&voxels), voxels, is_inside, spacing }
-    }
-
-    fn tube(nodes: &[([f64; 3], f64)]) -> Tube {
-        Tube { nodes: nodes.iter().map(|(at, r)| TubeNode { center: DVec3::from(*at), radius: *r }).collect() }
-    }
-
-    fn depth(tubes: &[Tube], point: DVec3) -> f64 {
-        let of_tube =
-            |t: &Tube| (0..t.segment_count()).map(|n| depth_in_segment(point, &t.segment(n)).0).collect::<Vec<_>>();
-        tubes.iter().flat_map(of_tube).fold(f64::NEG_INFINITY, f64::max)
-    }
+    use crate::image::voxel_index::VoxelIndex;
+    use crate::lattice::deepest_segments::MARGIN;
+    use crate::lattice::test_images::{boundary_voxels, tube, tubes_depth};
 
     #[test]
     fn a_tube_that_starts_beside_a_vessel_finds_its_axis_radius_and_ends() {
         let [from, to, radius] = [DVec3::new(7.3, 8.1, 6.2), DVec3::new(11.9, 9.4, 20.7), DVec3::splat(1.9)];
         let exact = [tube(&[(from.to_array(), radius.x), (to.to_array(), radius.x)])];
-        let voxels = boundary(27, DVec3::ONE, |p| depth(&exact, p) > 0.0);
+        let voxels = boundary_voxels(27, DVec3::ONE, |p| tubes_depth(&exact, p) > 0.0);
         let start = |n: usize| {
             let at = from.lerp(to, 0.1 + 0.08 * n as f64) + DVec3::new(0.9, -0.6, 0.2);
             (at.to_array(), 1.1)
@@ -573,7 +404,7 @@ mod tests {
         };
         let tubes = fit(1);
         for node in &tubes[0].nodes {
-            let off = depth(&exact, node.center) - radius.x;
+            let off = tubes_depth(&exact, node.center) - radius.x;
             // Measured 0.09 and 0.08 voxel.
             assert!(off.abs() < 0.15 && (node.radius - radius.x).abs() < 0.15, "{node:?} {off}");
         }
@@ -583,44 +414,13 @@ mod tests {
     }
 
     #[test]
-    fn voxels_are_deepest_in_the_segments_near_them_also_after_these_have_moved() {
-        let tubes = [
-            tube(&[([4.0, 8.0, 4.0], 1.8), ([8.2, 8.4, 8.0], 1.6), ([8.0, 8.0, 14.0], 1.5)]),
-            tube(&[([14.0, 6.0, 9.0], 1.2), ([8.4, 8.2, 8.6], 1.4)]),
-        ];
-        let voxels = boundary(18, DVec3::new(1.0, 0.9, 1.1), |p| depth(&tubes, p) > 0.0);
-        let near = |wanted| voxels.near_segments(&segments_of(&tubes), wanted);
-        let mut moved = tubes.clone();
-        for (n, node) in moved.iter_mut().flat_map(|tube| &mut tube.nodes).enumerate() {
-            node.center += 0.7 * LARGEST_MOVE * DVec3::new(n as f64 * 0.9 - 2.0, 1.0, -0.4).normalize();
-            node.radius -= 0.3 * LARGEST_MOVE;
-        }
-        let expected = voxels.deepest(&moved);
-        // A voxel that is looked for from afar may have come within reach.
-        let is_near = |found: &Deepest| found.depth > 1.0 - REACH;
-        let compared = voxels.deepest_among(&segments_of(&moved), &near(Wanted::All));
-        assert!(expected.iter().zip(&compared).all(|(l, r)| l == r || !is_near(l)));
-        let lacking = voxels.deepest_among(&segments_of(&moved), &near(Wanted::Lacking));
-        let (mut seen, mut left_out) = (0, 0);
-        for (voxel, found) in expected.iter().enumerate().filter(|(_, found)| is_near(found)) {
-            if voxels.lack(voxel, found.depth) > 0.0 {
-                assert_eq!(lacking[voxel], *found);
-                seen += 1;
-            } else {
-                left_out += usize::from(lacking[voxel].tube == NONE);
-            }
-        }
-        assert!(seen > 100 && left_out > 100, "{seen} {left_out}");
-    }
-
-    #[test]
     fn partners_hold_what_the_voxels_do_not_tell() {
         let outer = tube(&[([8.0, 8.0, 5.0], 4.0), ([8.0, 8.0, 10.0], 4.0), ([8.0, 8.0, 15.0], 4.0)]);
         let mut tubes = [tube(&[([8.2, 8.0, 5.3], 1.5), ([8.2, 8.0, 10.3], 1.5), ([8.2, 8.0, 15.3], 1.5)])];
         // No voxel has another side near.
-        let voxels = boundary(20, DVec3::ONE, |p| p.distance(DVec3::new(8.0, 8.0, p.z)) < 1.5 && p.z > 100.0);
+        let voxels = boundary_voxels(20, DVec3::ONE, |p| p.distance(DVec3::new(8.0, 8.0, p.z)) < 1.5 && p.z > 100.0);
         let far = BoundaryVoxels { is_inside: vec![true; voxels.is_inside.len()], ..voxels };
-        let inside: Vec<usize> = (0..far.voxels.len()).filter(|v| depth(&tubes, far.place(*v)) > 1.0).collect();
+        let inside: Vec<usize> = (0..far.voxels.len()).filter(|v| tubes_depth(&tubes, far.place(*v)) > 1.0).collect();
         let some: Vec<[i32; 3]> = inside.iter().map(|v| far.voxels[*v]).collect();
         let few = BoundaryVoxels {
             index: VoxelIndex::new(&some),
@@ -644,7 +444,7 @@ mod tests {
         let outer = [rod(8.0, [3.5; 4]), rod(22.0, [4.2; 4]), rod(36.0, [3.0; 4])];
         // The last one gets thinner and thinner, and voxels tell of the others only.
         let mut tubes = [rod(8.0, [2.0; 4]), rod(22.0, [2.7; 4]), rod(36.0, [1.45, 1.35, 1.25, 1.15])];
-        let voxels = boundary(30, DVec3::ONE, |p| depth(&tubes[..2], p) > 0.0);
+        let voxels = boundary_voxels(30, DVec3::ONE, |p| tubes_depth(&tubes[..2], p) > 0.0);
         let context = RunContext::with_threads(1).unwrap();
         fit_tubes(&mut tubes, &[], Some(&outer), &voxels, 40, &context).unwrap();
         for node in &tubes[2].nodes {
@@ -670,9 +470,38 @@ mod tests {
     }
 
     #[test]
+    fn the_host_of_a_point_is_the_tube_that_it_is_deepest_in() {
+        let rod = |n: i32| {
+            let at = |x: i32| [f64::from(x), f64::from((n * 7 + x) % 5), f64::from(n)];
+            tube(&[(at(0), 1.5), (at(3), 1.1), (at(7), 0.6 + 0.1 * f64::from(n))])
+        };
+        let tubes: Vec<Tube> = (0..9).map(rod).collect();
+        let hosts = Hosts::new(&tubes);
+        let (mut within, mut outside) = (0, 0);
+        for n in 0..1000 {
+            let point = DVec3::new(f64::from(n % 10), f64::from(n / 10 % 10), f64::from(n / 100)) - 0.7;
+            let number = n as usize % 9;
+            let others: Vec<Tube> = (0..9).filter(|t| *t != number).map(|t| tubes[t].clone()).collect();
+            let deepest = tubes_depth(&others, point);
+            match hosts.host_of(number, point, -0.4) {
+                Some(Place { tube, segment, part }) => {
+                    assert!(tube != number && (0.0..=1.0).contains(&part));
+                    assert_eq!(depth_in_segment(point, &tubes[tube].segment(segment)), (deepest, part));
+                    within += 1;
+                }
+                None => {
+                    assert!(deepest <= -0.4);
+                    outside += 1;
+                }
+            }
+        }
+        assert!(within > 100 && outside > 100, "{within} {outside}");
+    }
+
+    #[test]
     fn voxels_far_from_all_tubes_lack_no_more_than_a_bound() {
         let tubes = [tube(&[([3.0, 3.0, 3.0], 1.5)])];
-        let voxels = boundary(40, DVec3::ONE, |p| p.distance(DVec3::splat(30.0)) < 1.2);
+        let voxels = boundary_voxels(40, DVec3::ONE, |p| p.distance(DVec3::splat(30.0)) < 1.2);
         let loss = voxels.loss(&tubes);
         let lack = MARGIN + LARGEST_LACK;
         assert!(loss.is_finite() && loss >= 7.0 * LINEAR * (2.0 * lack - LINEAR), "{loss}");

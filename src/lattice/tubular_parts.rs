@@ -34,7 +34,8 @@ use crate::image::label_image::LabelImage;
 use crate::image::voxel_index::VoxelIndex;
 use crate::index::Label;
 use crate::lattice::centerlines::{Solid, Tube, TubeNode, centerlines};
-use crate::lattice::tube_fitting::{BoundaryVoxels, fit_tubes};
+use crate::lattice::deepest_segments::BoundaryVoxels;
+use crate::lattice::tube_fitting::fit_tubes;
 use crate::lattice::tube_joints::{JoinedTubes, split_at_joints, without_contained, without_shared_ends};
 
 /// Least share of a solid's voxels that have another side among their 26 neighbours: 0.44 for a tube of 4.4 voxels radius.
