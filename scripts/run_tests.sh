@@ -3,9 +3,8 @@
 set -uo pipefail
 cd "$(dirname "$0")/.."
 export CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-$PWD/target}
-# Tests need the release build soon rather than as fast as it gets: the same code, compiled in parts on all cores, without
-# inlining from one to another.
-export CARGO_PROFILE_RELEASE_CODEGEN_UNITS=16 CARGO_PROFILE_RELEASE_LTO=off
+# Tests need the release build soon rather than as fast as it gets: the same code, compiled in parts on all cores.
+export CARGO_PROFILE_RELEASE_CODEGEN_UNITS=16
 logs=$CARGO_TARGET_DIR/test-logs
 build=$CARGO_TARGET_DIR/cmake
 mkdir -p "$logs"

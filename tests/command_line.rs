@@ -108,6 +108,26 @@ fn block() -> Vec<u8> {
     bytes
 }
 
+#[test]
+fn quality_beside_an_image_has_the_figures_of_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("a.nrrd"), block()).unwrap();
+    let label_1 = |arguments: &[&str]| {
+        let output = meshwright(folder.path(), arguments);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let value: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        value["statistics"]["label"]["1"].clone()
+    };
+    let evaluated = ["--evaluate-volume", "--evaluate-fidelity", "--json"];
+    let run = label_1(&[&["image-to-mesh", "--image", "a.nrrd", "--output", "a.vtu"][..], &evaluated].concat());
+    let found = label_1(&["quality", "a.vtu", "--image", "a.nrrd", "--json"]);
+    for name in ["hausdorff", "mean_distance", "volume", "voxel_volume", "volume_error"] {
+        let [expected, found] = [&run, &found].map(|label| label[name].as_f64().unwrap());
+        assert!((found - expected).abs() <= 1e-9 * expected.abs(), "{name}: {found} and {expected}");
+    }
+    assert!(found["f1"].as_f64().unwrap() > 0.8 && found["voxel_volume"] == 216.0);
+}
+
 const TETRAHEDRON: &str = "OFF\n4 4 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n";
 
 fn names(folder: &Path) -> Vec<String> {

@@ -246,7 +246,7 @@ impl Rounds<'_> {
             if !marks_many(&marked) {
                 let by_centroid = elements.labels.clone();
                 let mut neighbors = self.neighbors(lattice, &elements, known)?;
-                let relabelled = self.relabel(lattice, &mut elements, &neighbors, |_| false)?;
+                let mut relabelled = self.relabel(lattice, &mut elements, &neighbors, |_| false)?;
                 let at_centroid = found;
                 let mut found = self.recount(&at_centroid, &by_centroid, lattice, &elements)?;
                 let after = self.deficit(&found);
@@ -255,7 +255,7 @@ impl Rounds<'_> {
                     if !marked.contains(&true) {
                         // At the finest level: keep the elements that hold voxels of their own label.
                         elements.labels.clone_from(&by_centroid);
-                        self.relabel_within_fidelity(lattice, &mut elements, &neighbors)?;
+                        relabelled = self.relabel_within_fidelity(lattice, &mut elements, &neighbors)?;
                         found = self.recount(&at_centroid, &by_centroid, lattice, &elements)?;
                     }
                 }

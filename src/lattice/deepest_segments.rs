@@ -26,7 +26,7 @@ pub const MARGIN: f64 = 0.4;
 /// How far nodes may have moved and become wider together, in mean spacings, until the blocks around are looked at again.
 pub const LARGEST_MOVE: f64 = 0.5;
 
-/// Largest change of the place and of the radius of a node between two looks, in mean spacings.
+/// Largest change of the place, and of the radius, of a node between two updates, in mean spacings.
 pub const LARGEST_STEP: f64 = 0.7;
 
 /// How far outside of a segment voxels that may lack depth are compared with it, in mean spacings.

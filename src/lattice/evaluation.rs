@@ -16,9 +16,9 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::image::label_image::LabelImage;
 use crate::index::VertexId;
+use crate::mesh::boundary::element_volume;
 use crate::mesh::fidelity::{CenteredBox, Triangle, hausdorff, mean_distance};
-use crate::mesh::mixed_mesh::{ElementKind, MixedMesh};
-use crate::mesh::numbering::{HEX_FACES, PYRAMID_BASE, PYRAMID_TRIANGLES, TET_FACES};
+use crate::mesh::mixed_mesh::{BoundaryFaces, MixedMesh};
 use crate::mesh::quality::mesh_quality;
 use crate::statistics::Statistics;
 
@@ -31,7 +31,8 @@ pub fn evaluate_quality(mesh: &MixedMesh, context: &RunContext) -> Result<Statis
 }
 
 /// `label.<value>.volume`, `.voxel_volume` [mm^3] and `.volume_error` [%], `mesh.volume`, `mesh.enclosed_volume`.
-pub fn evaluate_volume(mesh: &MixedMesh, image: &LabelImage) -> Statistics {
+/// `boundary` is that of the mesh, here and below.
+pub fn evaluate_volume(mesh: &MixedMesh, boundary: &BoundaryFaces, image: &LabelImage) -> Statistics {
     let mut statistics = Statistics::default();
     let voxel = image.grid().spacing().element_product() * image.grid().direction().determinant().abs();
     let voxels = image.voxel_counts();
@@ -54,48 +55,28 @@ pub fn evaluate_volume(mesh: &MixedMesh, image: &LabelImage) -> Statistics {
         }
     }
     statistics.set("mesh.volume", total);
-    statistics.set("mesh.enclosed_volume", enclosed_volume(mesh));
+    statistics.set("mesh.enclosed_volume", enclosed_volume(mesh, boundary));
     statistics
 }
 
-fn element_volume(mesh: &MixedMesh, element: usize) -> f64 {
-    let (kind, nodes) = mesh.element(element);
-    let corners: Vec<DVec3> = nodes[..kind.corner_count()].iter().map(|v| mesh.points[v.index()]).collect();
-    let apex = corners.iter().sum::<DVec3>() / corners.len() as f64;
-    let mut sixfold = 0.0;
-    let mut cone = |face: &[usize]| {
-        // A quadrilateral is split around its middle, so both elements beside it agree.
-        let middle = face.iter().map(|v| corners[*v]).sum::<DVec3>() / face.len() as f64;
-        for (i, a) in face.iter().enumerate() {
-            let b = face[(i + 1) % face.len()];
-            sixfold += (corners[*a] - apex).cross(corners[b] - apex).dot(middle - apex);
-        }
-    };
-    match kind {
-        ElementKind::Tet | ElementKind::QuadraticTet => TET_FACES.iter().for_each(|f| cone(f)),
-        ElementKind::Pyramid => {
-            PYRAMID_TRIANGLES.iter().for_each(|f| cone(f));
-            cone(&PYRAMID_BASE);
-        }
-        _ => HEX_FACES.iter().for_each(|f| cone(f)),
+/// Vertices of a face of the boundary.
+fn corners_of(boundary: &BoundaryFaces, face: usize) -> &[VertexId] {
+    match face.checked_sub(boundary.triangles.len()) {
+        None => &boundary.triangles[face],
+        Some(quad) => &boundary.quads[quad],
     }
-    sixfold / 6.0
 }
 
 /// Volume inside of the outer boundary, by the divergence theorem.
-fn enclosed_volume(mesh: &MixedMesh) -> f64 {
+fn enclosed_volume(mesh: &MixedMesh, boundary: &BoundaryFaces) -> f64 {
     let origin = mesh.points.first().copied().unwrap_or_default();
     let point = |v: VertexId| mesh.points[v.index()] - origin;
     let mut sixfold = 0.0;
-    for (face, labels) in mesh.boundary.labels.iter().enumerate() {
+    for (face, labels) in boundary.labels.iter().enumerate() {
         if labels[1] != 0 {
             continue;
         }
-        let triangles = mesh.boundary.triangles.len();
-        let corners: &[VertexId] = match face.checked_sub(triangles) {
-            None => &mesh.boundary.triangles[face],
-            Some(quad) => &mesh.boundary.quads[quad],
-        };
+        let corners = corners_of(boundary, face);
         for i in 1..corners.len() - 1 {
             sixfold += point(corners[0]).cross(point(corners[i])).dot(point(corners[i + 1]));
         }
@@ -107,11 +88,16 @@ fn enclosed_volume(mesh: &MixedMesh) -> f64 {
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
-pub fn evaluate_fidelity(mesh: &MixedMesh, image: &LabelImage, context: &RunContext) -> Result<Statistics> {
+pub fn evaluate_fidelity(
+    mesh: &MixedMesh,
+    boundary: &BoundaryFaces,
+    image: &LabelImage,
+    context: &RunContext,
+) -> Result<Statistics> {
     let mut statistics = Statistics::default();
     let mut largest = 0.0f64;
     let mut image_surfaces = image_surfaces(image);
-    let mut mesh_surfaces = mesh_surfaces(mesh, image);
+    let mut mesh_surfaces = mesh_surfaces(mesh, boundary, image);
     for label in 1..image.label_count() {
         context.check()?;
         let (voxels, squares) = std::mem::take(&mut image_surfaces[label]);
@@ -185,15 +171,12 @@ fn image_surfaces(image: &LabelImage) -> Vec<(Vec<DVec3>, Vec<CenteredBox>)> {
 }
 
 /// Per label, in the local frame: the triangles of its surface.
-fn mesh_surfaces(mesh: &MixedMesh, image: &LabelImage) -> Vec<Vec<Triangle>> {
+fn mesh_surfaces(mesh: &MixedMesh, boundary: &BoundaryFaces, image: &LabelImage) -> Vec<Vec<Triangle>> {
     let grid = image.grid();
     let local = |v: VertexId| grid.world_to_index(mesh.points[v.index()]) * grid.spacing();
     let mut surfaces = vec![Vec::new(); image.label_count()];
-    for (face, sides) in mesh.boundary.labels.iter().enumerate() {
-        let corners: &[VertexId] = match face.checked_sub(mesh.boundary.triangles.len()) {
-            None => &mesh.boundary.triangles[face],
-            Some(quad) => &mesh.boundary.quads[quad],
-        };
+    for (face, sides) in boundary.labels.iter().enumerate() {
+        let corners = corners_of(boundary, face);
         for side in sides {
             let Some(label) = image.label_of(i64::from(*side)).filter(|l| !l.is_background()) else { continue };
             for i in 1..corners.len() - 1 {

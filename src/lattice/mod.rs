@@ -282,10 +282,10 @@ fn evaluate(
         report.merge(&evaluation::evaluate_quality(mesh, context)?);
     }
     if options.evaluate_volume {
-        report.merge(&evaluation::evaluate_volume(mesh, image));
+        report.merge(&evaluation::evaluate_volume(mesh, &mesh.boundary, image));
     }
     if options.evaluate_fidelity {
-        report.merge(&evaluation::evaluate_fidelity(mesh, image, context)?);
+        report.merge(&evaluation::evaluate_fidelity(mesh, &mesh.boundary, image, context)?);
     }
     Ok(())
 }

@@ -56,8 +56,8 @@ pub fn farthest_on_edge(off: impl Fn(u8) -> f64) -> (f64, u8) {
     [of_quarters.1 - 1, of_quarters.1 + 1].map(at).into_iter().fold(of_quarters, farther)
 }
 
-/// A vertex, an edge or a face, by its vertices in ascending order, then `NONE`; with the labels of both sides in ascending order.
-type SurfacePart = ([u32; 3], [Label; 2]);
+/// A vertex, an edge or a face: as a face, its vertices in ascending order, then `NONE`, the labels in ascending order.
+type SurfacePart = LabelledFace;
 
 /// How far off parts of a surface are that were asked for, as long as the surface itself stays the same.
 #[derive(Debug, Default)]

@@ -1,6 +1,8 @@
-//! The labelled boundary of a finished mesh: faces with one element, and faces between two labels.
+//! The faces of the elements of a finished mesh: its labelled boundary (faces with one element, and faces between two labels), and the
+//! volume that the faces of an element enclose.
 //!
 //! # Method
+//! Boundary:
 //! 1. List the faces of all elements, each with its sorted vertices, in element order.
 //! 2. Sort them; equal neighbours are the two sides of one face.
 //! 3. Keep a face with one side, or with two labels; it is written outward from the side with the smaller label.
@@ -10,6 +12,8 @@
 //!
 //! # Cost
 //! 28 bytes per face of an element while it runs; one sort.
+
+use glam::DVec3;
 
 use crate::index::VertexId;
 use crate::mesh::mixed_mesh::{BoundaryFaces, ElementKind, MixedMesh};
@@ -76,6 +80,26 @@ pub fn face_pairs(mesh: &MixedMesh) -> Vec<FacePair> {
     pairs
 }
 
+/// Volume of an element: the cones from its first corner over its faces, a quadrilateral as the mean of its two cuts.
+pub fn element_volume(mesh: &MixedMesh, element: usize) -> f64 {
+    let (kind, vertices) = mesh.element(element);
+    let apex = mesh.points[vertices[0].index()];
+    let cone = |a: DVec3, b: DVec3, c: DVec3| (a - apex).dot((b - apex).cross(c - apex)) / 6.0;
+    let at = |corner: usize| mesh.points[vertices[corner].index()];
+    faces_of(kind)
+        .iter()
+        .map(|face| match **face {
+            [a, b, c] => cone(at(a), at(b), at(c)),
+            [a, b, c, d] => {
+                let cut = cone(at(a), at(b), at(c)) + cone(at(a), at(c), at(d));
+                let other = cone(at(b), at(c), at(d)) + cone(at(b), at(d), at(a));
+                (cut + other) / 2.0
+            }
+            _ => 0.0,
+        })
+        .sum()
+}
+
 /// The boundary of a mesh: outer faces and interfaces of labels.
 pub fn extract_boundary(mesh: &MixedMesh) -> BoundaryFaces {
     let mut triangles = BoundaryFaces::default();
@@ -110,7 +134,6 @@ pub fn extract_boundary(mesh: &MixedMesh) -> BoundaryFaces {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::DVec3;
 
     fn ids<const N: usize>(values: [u32; N]) -> [VertexId; N] {
         values.map(VertexId)

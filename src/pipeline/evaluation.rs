@@ -3,7 +3,8 @@
 //! # Method
 //! Against an image: every voxel centre gets the label of the element that holds it (the first one on a shared face);
 //! per label, F1 is the share of the label's voxels that the mesh gives that label, F2 the share of the mesh's voxels
-//! of the label that the image gives it, `dice` their harmonic mean; volumes are compared too.
+//! of the label that the image gives it, `dice` their harmonic mean. Volumes, and distances between the surfaces, are those of
+//! [`lattice::evaluation`](crate::lattice::evaluation).
 //! Against a surface: how many of its points are vertices bit for bit, how many of its triangles are faces, and how many
 //! other points lie on the mesh's boundary.
 //!
@@ -17,33 +18,14 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::image::label_image::LabelImage;
-use crate::mesh::boundary::{extract_boundary, faces_of};
+use crate::lattice::evaluation::{evaluate_fidelity, evaluate_volume};
+use crate::mesh::boundary::{element_volume, extract_boundary, faces_of};
 use crate::mesh::mixed_mesh::MixedMesh;
 use crate::mesh::surface_mesh::SurfaceMesh;
 use crate::statistics::Statistics;
 
 /// Elements that are painted between two looks at the cancellation flag.
 const CHUNK: usize = 4096;
-
-/// Volume of an element: the cones from its first corner over its faces, a quadrilateral as the mean of its two cuts.
-pub fn element_volume(mesh: &MixedMesh, element: usize) -> f64 {
-    let (kind, vertices) = mesh.element(element);
-    let apex = mesh.points[vertices[0].index()];
-    let cone = |a: DVec3, b: DVec3, c: DVec3| (a - apex).dot((b - apex).cross(c - apex)) / 6.0;
-    let at = |corner: usize| mesh.points[vertices[corner].index()];
-    faces_of(kind)
-        .iter()
-        .map(|face| match **face {
-            [a, b, c] => cone(at(a), at(b), at(c)),
-            [a, b, c, d] => {
-                let cut = cone(at(a), at(b), at(c)) + cone(at(a), at(c), at(d));
-                let other = cone(at(b), at(c), at(d)) + cone(at(b), at(d), at(a));
-                (cut + other) / 2.0
-            }
-            _ => 0.0,
-        })
-        .sum()
-}
 
 /// Elements and volume per label, as `label.N.elements` and `label.N.volume` [mm^3].
 pub fn label_figures(mesh: &MixedMesh) -> Statistics {
@@ -61,10 +43,12 @@ pub fn label_figures(mesh: &MixedMesh) -> Statistics {
     figures
 }
 
-/// Compares a mesh (LPS) with the segmentation it was made from.
+/// Compares a mesh (LPS) with the segmentation it was made from. Figures are named `label.N.f1`, `.f2`, `.dice`, `fidelity.min_f1`,
+/// `.min_f2`, `.foreign_voxels` (where the mesh has a label that the image has not), and as [`evaluate_volume`] and
+/// [`evaluate_fidelity`] do.
 ///
 /// # Errors
-/// [`crate::Error::Cancelled`].
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn compare_with_image(mesh: &MixedMesh, image: &LabelImage, context: &RunContext) -> Result<Statistics> {
     let painted = paint(mesh, image, context)?;
     // Per compact label: voxels of the image, of the mesh, of both.
@@ -80,22 +64,18 @@ pub fn compare_with_image(mesh: &MixedMesh, image: &LabelImage, context: &RunCon
             None => foreign += 1,
         }
     }
-    let voxel_volume = image.grid().spacing().element_product() * image.grid().direction().determinant().abs();
-    let mut figures = Statistics::default();
-    let volumes = label_figures(mesh);
+    let boundary = extract_boundary(mesh);
+    let mut figures = evaluate_volume(mesh, &boundary, image);
+    figures.extend(&evaluate_fidelity(mesh, &boundary, image, context)?);
     let mut worst = (1.0f64, 1.0f64);
     for (label, [in_image, in_mesh, both]) in counts.iter().enumerate().skip(1) {
         let value = image.values()[label];
         let share = |whole: u64| if whole == 0 { 0.0 } else { *both as f64 / whole as f64 };
         let (f1, f2) = (share(*in_image), share(*in_mesh));
         worst = (worst.0.min(f1), worst.1.min(f2));
-        let volume = volumes.value(&format!("label.{value}.volume")).unwrap_or(0.0);
-        let image_volume = *in_image as f64 * voxel_volume;
         figures.set(format!("label.{value}.f1"), f1);
         figures.set(format!("label.{value}.f2"), f2);
         figures.set(format!("label.{value}.dice"), 2.0 * *both as f64 / (in_image + in_mesh).max(1) as f64);
-        figures.set(format!("label.{value}.image_volume"), image_volume);
-        figures.set(format!("label.{value}.volume_error"), volume / image_volume - 1.0);
     }
     figures.set("fidelity.min_f1", worst.0);
     figures.set("fidelity.min_f2", worst.1);
@@ -249,8 +229,14 @@ mod tests {
         let figures = compare_with_image(&mesh, &image, &context).unwrap();
         assert_eq!(figures.value("label.5.f1"), Some(0.8));
         assert_eq!(figures.value("label.5.f2"), Some(1.0));
-        assert!((figures.value("label.5.volume_error").unwrap() + 0.2).abs() < 1e-12);
-        assert!((element_volume(&mesh, 0) - 64.0).abs() < 1e-12);
+        assert!((figures.value("label.5.volume_error").unwrap() + 20.0).abs() < 1e-9);
+        assert!((figures.value("mesh.enclosed_volume").unwrap() - 64.0).abs() < 1e-9);
+        // From the corners of the cube to the nearest voxel centres, and from the centres of the last slice to the cube's face
+        // one voxel before the image's, by its corners.
+        let hausdorff = figures.value("label.5.hausdorff").unwrap();
+        assert!(hausdorff > 1.0 && figures.value("fidelity.hausdorff") == Some(hausdorff), "{hausdorff}");
+        let mean = figures.value("label.5.mean_distance").unwrap();
+        assert!(mean > 0.0 && mean < 0.25, "{mean}");
     }
 
     #[test]
