@@ -181,7 +181,10 @@ fn mesh_surfaces(mesh: &MixedMesh, boundary: &BoundaryFaces, image: &LabelImage)
             let Some(label) = image.label_of(i64::from(*side)).filter(|l| !l.is_background()) else { continue };
             for i in 1..corners.len() - 1 {
                 let triangle = [corners[0], corners[i], corners[i + 1]].map(local);
-                surfaces[label.index()].push(Triangle(triangle));
+                // A mesh from a file may have points without a place: what has none has no distance.
+                if triangle.iter().all(|p| p.is_finite()) {
+                    surfaces[label.index()].push(Triangle(triangle));
+                }
             }
         }
     }

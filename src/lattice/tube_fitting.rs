@@ -3,8 +3,9 @@
 //! # Method
 //! The depth of a point is the largest of `r(t) - |x - c(t)|` over the segments of all tubes, `t` the place along the segment's
 //! axis nearest to it. Gauss-Newton steps lessen, in voxels:
-//! 1. for each voxel near the boundary the square of what its depth lacks to [`MARGIN`](crate::lattice::deepest_segments::MARGIN) on its side: where a surface passes in the
-//!    middle between the centres of both sides, neither pulls more. What lacks much counts linearly.
+//! 1. for each voxel near the boundary the square of what its depth lacks to a margin
+//!    ([`MARGIN`](crate::lattice::deepest_segments::MARGIN)) on its side: where a surface passes in the middle between the centres of
+//!    both sides, neither pulls more. What lacks much counts linearly.
 //! 2. for each tube the squares of the second differences of its axis and of its radius, and the first ones of its radius. All are
 //!    weighed down where they are large ([GemanMcClure1987]): a kink is one place, not a bend of all.
 //! 3. the squared differences of the lengths of its segments from their mean, so that nodes keep their distance;

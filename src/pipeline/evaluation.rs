@@ -240,6 +240,20 @@ mod tests {
     }
 
     #[test]
+    fn points_without_a_place_have_no_distance() {
+        let (mut mesh, image) = cube_and_image();
+        let context = RunContext::with_threads(1).unwrap();
+        let hausdorff =
+            |mesh: &MixedMesh| compare_with_image(mesh, &image, &context).unwrap().value("label.5.hausdorff").unwrap();
+        let whole = hausdorff(&mesh);
+        mesh.points[6].x = f64::NAN;
+        let rest = hausdorff(&mesh);
+        assert!(rest.is_finite() && rest >= whole, "{rest} {whole}");
+        mesh.points.fill(DVec3::splat(f64::INFINITY));
+        assert_eq!(hausdorff(&mesh), f64::INFINITY);
+    }
+
+    #[test]
     fn a_kept_surface_is_recognised() {
         let points = vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
         let mesh = MixedMesh::from_tets(points.clone(), &[[0, 1, 2, 3].map(VertexId)], vec![1]).unwrap();
