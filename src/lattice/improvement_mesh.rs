@@ -174,9 +174,12 @@ impl<'a> ImprovementMesh<'a> {
         self.log.end();
     }
 
-    /// The vertices that changes since the mark of an open trial moved or took tets from; some more than once.
+    /// The vertices that changes since the mark of an open trial moved or took tets from, in order.
     pub fn touched_since(&self, mark: Mark) -> Vec<u32> {
-        self.log.touched(mark)
+        let mut touched = self.log.touched(mark);
+        touched.sort_unstable();
+        touched.dedup();
+        touched
     }
 
     /// Moves a vertex.

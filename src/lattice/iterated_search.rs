@@ -28,6 +28,7 @@ use glam::DVec3;
 use rustc_hash::FxHashSet;
 
 use crate::error::Result;
+use crate::lattice::change_log::Mark;
 use crate::lattice::element_score::{Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::local_transformations::{ENOUGH, contract_edge, insert_between, may_contract, sides_of_edge};
@@ -78,10 +79,10 @@ enum Perturbation {
     Split(u32, u32),
 }
 
-/// How low the tets of some vertices are: how many are low, and the lowest score.
-#[derive(Debug, Clone, Copy)]
+/// How low the tets of some vertices are: those that are low, and the lowest score.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Outcome {
-    low: usize,
+    low: Vec<u32>,
     lowest: f64,
 }
 
@@ -91,17 +92,54 @@ impl Outcome {
         let wanted = Threshold::of(wanted);
         let mut low = mesh.tets_of(vertices);
         low.retain(|t| mesh.fails(*t, &wanted));
-        Self { low: low.len(), lowest: mesh.lowest(&low) }
+        Self { lowest: mesh.lowest(&low), low }
+    }
+
+    /// That of the same vertices, and of those that were `touched` since, once changes have been made: what none of these is part of is
+    /// as it was.
+    pub fn after(&self, mesh: &ImprovementMesh, touched: &[u32], wanted: f64) -> Self {
+        let Self { mut low, .. } = Self::of(mesh, touched.to_vec(), wanted);
+        let touched: FxHashSet<u32> = touched.iter().copied().collect();
+        // A slot that was filled anew has a vertex that was touched.
+        let stays = |t: &&u32| mesh.is_live(**t) && !mesh.tets[**t as usize].iter().any(|v| touched.contains(v));
+        low.extend(self.low.iter().filter(stays));
+        low.sort_unstable();
+        Self { lowest: mesh.lowest(&low), low }
     }
 
     /// Not more are low, and the lowest is no lower.
     pub fn is_no_worse_than(&self, other: &Self) -> bool {
-        self.low <= other.low && self.lowest >= other.lowest
+        self.low.len() <= other.low.len() && self.lowest >= other.lowest
     }
 
     fn is_better_than(&self, other: &Self) -> bool {
-        self.low < other.low && self.lowest >= other.lowest
-            || self.low <= other.low && self.lowest > other.lowest + LEAST_RISE
+        self.low.len() < other.low.len() && self.lowest >= other.lowest
+            || self.low.len() <= other.low.len() && self.lowest > other.lowest + LEAST_RISE
+    }
+}
+
+/// What is around a place that is worked on within a trial.
+#[derive(Debug, Clone, Copy)]
+pub struct Surroundings<'a> {
+    /// The vertices around, some perhaps twice.
+    pub vertices: &'a [u32],
+    /// How low their tets were when the trial began.
+    pub before: &'a Outcome,
+    /// The trial.
+    pub trial: Mark,
+}
+
+impl Surroundings<'_> {
+    /// The tets of the vertices that may be low now, in order: those that were, and those with a vertex that was touched.
+    pub fn candidates(&self, mesh: &ImprovementMesh) -> Vec<u32> {
+        let around: FxHashSet<u32> = self.vertices.iter().copied().collect();
+        let mut tets = mesh.tets_of(mesh.touched_since(self.trial));
+        tets.extend(&self.before.low);
+        tets.sort_unstable();
+        tets.dedup();
+        // A slot that was filled anew may be that of a tet elsewhere; an empty one has no vertex.
+        tets.retain(|t| mesh.tets[*t as usize].iter().any(|v| around.contains(v)));
+        tets
     }
 }
 
@@ -122,7 +160,7 @@ pub struct IteratedSearch {
 }
 
 impl IteratedSearch {
-    /// Searches around each of the tets `low`; `mend` makes the tets of some vertices better. Returns how often something became
+    /// Searches around each of the tets `low`; `mend` makes those around a place better. Returns how often something became
     /// better.
     ///
     /// # Errors
@@ -131,7 +169,7 @@ impl IteratedSearch {
         &mut self,
         mesh: &mut ImprovementMesh,
         low: &[u32],
-        mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
+        mend: &mut impl FnMut(&mut ImprovementMesh, &Surroundings) -> Result<()>,
     ) -> Result<usize> {
         let mut better = 0;
         for &t in low {
@@ -146,7 +184,7 @@ impl IteratedSearch {
         &mut self,
         mesh: &mut ImprovementMesh,
         t: u32,
-        mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
+        mend: &mut impl FnMut(&mut ImprovementMesh, &Surroundings) -> Result<()>,
     ) -> Result<bool> {
         let near = vertices_around(mesh, &mesh.tets[t as usize]);
         let before = Outcome::of(mesh, near.clone(), self.wanted);
@@ -159,13 +197,13 @@ impl IteratedSearch {
             self.budget -= 1;
             let trial = mesh.begin_trial();
             if self.perturb(mesh, perturbation) {
-                mend(mesh, &near)?;
-                let mut changed = mesh.touched_since(trial);
-                changed.extend(&near);
-                let is_better = Outcome::of(mesh, changed.clone(), self.wanted).is_better_than(&before);
-                if is_better && farthest_off(mesh, &changed) <= slack {
+                mend(mesh, &Surroundings { vertices: &near, before: &before, trial })?;
+                let touched = mesh.touched_since(trial);
+                let is_better = before.after(mesh, &touched, self.wanted).is_better_than(&before);
+                // The others are where they were.
+                if is_better && farthest_off(mesh, &touched) <= slack {
                     mesh.keep_trial();
-                    self.changed.extend(changed);
+                    self.changed.extend(near.iter().chain(&touched));
                     return Ok(true);
                 }
             }
@@ -286,6 +324,7 @@ mod tests {
     use crate::lattice::options::{Options, PARAMETERS};
     use crate::lattice::subvoxel_surface::SubvoxelSurface;
     use crate::lattice::test_images::{spaced_image, voxel_image};
+    use crate::lattice::test_meshes::{helix, with_tets};
     use crate::mesh::quality::mesh_quality;
     use crate::mesh::validation::check_mixed_mesh;
     use crate::parameters::ParameterSet;
@@ -319,7 +358,7 @@ mod tests {
             changed: Vec::new(),
         };
         // Nobody reaches ninety degrees, and a mend that spoils all makes every perturbation fail.
-        let mut spoil = |mesh: &mut ImprovementMesh, _: &[u32]| {
+        let mut spoil = |mesh: &mut ImprovementMesh, _: &Surroundings| {
             mesh.move_vertex(3, DVec3::new(0.0, 0.0, -0.5));
             Ok(())
         };
@@ -338,6 +377,39 @@ mod tests {
         assert!(!search.changed.is_empty());
         let live: Vec<u32> = (0..work.tets.len() as u32).filter(|t| work.is_live(*t)).collect();
         assert!(work.lowest(&live) > lowest);
+    }
+
+    #[test]
+    fn what_became_of_tets_is_known_from_those_that_were_touched() {
+        let (points, tets) = helix(300);
+        let image = voxel_image(4, |_| 1);
+        with_tets(points, &tets, &image, |mut mesh| {
+            // The tets are all alike; some become low.
+            (0..300).step_by(3).for_each(|v| mesh.points[v] *= 1.0 - 0.001 * v as f64);
+            let wanted = mesh.lowest(&[30]) + 0.1;
+            let near = vertices_around(&mesh, &mesh.tets[150]);
+            let before = Outcome::of(&mesh, near.clone(), wanted);
+            assert!(before.low.len() > 2, "{before:?}");
+            let trial = mesh.begin_trial();
+            // Within and beside the rings: a vertex moves, tets go, slots are filled anew.
+            mesh.move_vertex(near[1], mesh.points[near[1] as usize] + 0.05);
+            let [low, last] = [before.low[0], before.low[before.low.len() - 1]];
+            let row = (mesh.tets[low as usize], mesh.labels[low as usize]);
+            mesh.replace(&[last, low], &[row]);
+            mesh.replace(&[near[0] - 2], &[]);
+            let touched = mesh.touched_since(trial);
+            assert!(touched.is_sorted_by(|l, r| l < r) && touched.contains(&(near[0] - 2)));
+            let after = before.after(&mesh, &touched, wanted);
+            let all = [near.as_slice(), &touched].concat();
+            assert_eq!(after, Outcome::of(&mesh, all, wanted));
+            assert_ne!(after, before);
+            let around = Surroundings { vertices: &near, before: &before, trial };
+            let mut low = around.candidates(&mesh);
+            low.retain(|t| mesh.fails(*t, &Threshold::of(wanted)));
+            assert_eq!(low, Outcome::of(&mesh, near.clone(), wanted).low);
+            mesh.take_back(trial);
+            assert_eq!(Outcome::of(&mesh, near, wanted), before);
+        });
     }
 
     #[test]

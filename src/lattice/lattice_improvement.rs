@@ -41,7 +41,7 @@ use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::chord_splits::{chords, flip, split_chords};
 use crate::lattice::element_score::{Ball, Part, Threshold, tet_fails};
 use crate::lattice::improvement_mesh::ImprovementMesh;
-use crate::lattice::iterated_search::{IteratedSearch, Perturbations, Reach};
+use crate::lattice::iterated_search::{IteratedSearch, Perturbations, Reach, Surroundings};
 use crate::lattice::local_transformations::{TransformationCounts, loosen_scaffold, transform};
 use crate::lattice::planned_batches::{PlannedChange, Touched, change_in_order};
 use crate::lattice::progress_shares;
@@ -289,8 +289,8 @@ pub fn improve(
         let approaches = APPROACH_ROUNDS.contains(&round) || (has_vessels && round == VESSEL_APPROACH_ROUND);
         if may_transform && approaches {
             let effort = Effort { wanted: RELAXATION_BOUNDS[round], surfaces: Surfaces::Stay, slack };
-            let mut mend = |work: &mut ImprovementMesh, vertices: &[u32]| {
-                mend_around(work, vertices, &effort, Some(&mut summary.counts), context)
+            let mut mend = |work: &mut ImprovementMesh, around: &Surroundings| {
+                mend_around(work, around, &effort, Some(&mut summary.counts), context)
             };
             context.check()?;
             let budget = (work.tets.len() / TETS_PER_APPROACH).max(LEAST_APPROACHES);
@@ -335,8 +335,8 @@ pub fn improve(
         let far = chords(&work, CHORD * voxel, context)?;
         summary.counts.turned_edges += far.iter().filter(|(_, chord)| flip(&mut work, chord, wanted)).count();
         let effort = Effort { wanted, surfaces: Surfaces::MayYield, slack };
-        let mut mend = |work: &mut ImprovementMesh, vertices: &[u32]| {
-            mend_around(work, vertices, &effort, Some(&mut summary.counts), context)
+        let mut mend = |work: &mut ImprovementMesh, around: &Surroundings| {
+            mend_around(work, around, &effort, Some(&mut summary.counts), context)
         };
         let range = [LAST_FAR, VESSEL_FARTHEST].map(|f| f * voxel);
         let bounds = ApproachBounds {
@@ -448,8 +448,8 @@ fn search_last(
     for (reach, slack) in SEARCHES {
         let mut low: Vec<u32> = left.iter().map(|(_, t)| *t).collect();
         let effort = Effort { wanted, surfaces: Surfaces::MayYield, slack: slack * voxel };
-        let mut mend = |work: &mut ImprovementMesh, vertices: &[u32]| {
-            mend_around(work, vertices, &effort, may_transform.then_some(&mut *counts), context)
+        let mut mend = |work: &mut ImprovementMesh, around: &Surroundings| {
+            mend_around(work, around, &effort, may_transform.then_some(&mut *counts), context)
         };
         let mut search =
             IteratedSearch { wanted, slack: effort.slack, perturbations, reach, budget, changed: Vec::new() };
@@ -464,17 +464,16 @@ fn search_last(
     Ok((better, left))
 }
 
-/// Sweeps over the low tets of some vertices.
+/// Sweeps over the low tets around a place; what is low is what it was before the trial there.
 fn mend_around(
     work: &mut ImprovementMesh,
-    vertices: &[u32],
+    around: &Surroundings,
     effort: &Effort,
     mut counts: Option<&mut TransformationCounts>,
     context: &RunContext,
 ) -> Result<()> {
     for _ in 0..SEARCH_SWEEPS {
-        let near = work.tets_of(vertices.to_vec());
-        let low = low_among(work, near.into_par_iter(), effort.wanted, context)?;
+        let low = low_among(work, around.candidates(work).into_par_iter(), effort.wanted, context)?;
         raise_low_tets(work, low, effort, counts.as_deref_mut(), context)?;
     }
     Ok(())

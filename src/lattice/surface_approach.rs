@@ -37,7 +37,7 @@ use crate::lattice::chord_splits::{
 };
 use crate::lattice::element_score::Threshold;
 use crate::lattice::improvement_mesh::ImprovementMesh;
-use crate::lattice::iterated_search::{LEAST_PERTURBED, Outcome, vertices_around};
+use crate::lattice::iterated_search::{LEAST_PERTURBED, Outcome, Surroundings, vertices_around};
 use crate::lattice::surface_cuts::KnownCuts;
 
 /// Times that a vertex goes on after its tets were made better, and where all ways are tried. On 23 trees of vessels the farthest
@@ -114,14 +114,14 @@ pub enum Around {
     Holds,
 }
 
-/// Brings places nearer to their surface; `mend` makes the tets of some vertices better. Returns how many became nearer.
+/// Brings places nearer to their surface; `mend` makes the tets around a place better. Returns how many became nearer.
 ///
 /// # Errors
 /// Those of `mend`; [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn approach_surface(
     mesh: &mut ImprovementMesh,
     bounds: ApproachBounds,
-    mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
+    mend: &mut impl FnMut(&mut ImprovementMesh, &Surroundings) -> Result<()>,
     context: &RunContext,
 ) -> Result<usize> {
     let mut approach = Approach { bounds, cuts: KnownCuts::default(), tried: Tried::default() };
@@ -216,7 +216,7 @@ impl Approach {
         mesh: &mut ImprovementMesh,
         place: Place,
         near: Vec<u32>,
-        mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
+        mend: &mut impl FnMut(&mut ImprovementMesh, &Surroundings) -> Result<()>,
     ) -> Result<bool> {
         let ways: &[Way] = match self.bounds.ways {
             Ways::Moves => &[Way::Move(Towards::Crease)],
@@ -226,9 +226,10 @@ impl Approach {
         let before = (Outcome::of(mesh, near.clone(), self.bounds.wanted), self.farthest_around(mesh, &near));
         for way in ways {
             let (trial, count) = (mesh.begin_trial(), mesh.points.len() as u32);
-            if self.try_way(mesh, *way, place, &near, mend)? {
+            let around = Surroundings { vertices: &near, before: &before.0, trial };
+            if self.try_way(mesh, *way, place, &around, mend)? {
                 let touched = mesh.touched_since(trial);
-                if self.is_no_worse(mesh, [&near, &touched].map(|v| v.as_slice()).concat(), &before) {
+                if self.is_no_worse(mesh, &touched, &before) {
                     mesh.keep_trial();
                     self.tried.note_change(touched.into_iter().chain(count..mesh.points.len() as u32));
                     return Ok(true);
@@ -240,10 +241,11 @@ impl Approach {
         Ok(false)
     }
 
-    /// Whether the tets of some vertices are no lower than before, and nothing there is farther off.
-    fn is_no_worse(&mut self, mesh: &ImprovementMesh, vertices: Vec<u32>, before: &(Outcome, f64)) -> bool {
-        Outcome::of(mesh, vertices.clone(), self.bounds.wanted).is_no_worse_than(&before.0)
-            && self.farthest_around(mesh, &vertices) <= before.1
+    /// Whether the tets around are no lower than before, and nothing there is farther off, after some vertices were touched: nothing
+    /// else can be.
+    fn is_no_worse(&mut self, mesh: &ImprovementMesh, touched: &[u32], before: &(Outcome, f64)) -> bool {
+        before.0.after(mesh, touched, self.bounds.wanted).is_no_worse_than(&before.0)
+            && self.farthest_around(mesh, touched) <= before.1
     }
 
     /// How far off the surface is at some vertices, mm; 0 where that does not matter.
@@ -254,28 +256,28 @@ impl Approach {
         }
     }
 
-    /// Whether a place is nearer after a way was tried; what was changed stays to be kept or taken back. `near` are the vertices around.
+    /// Whether a place is nearer after a way was tried; what was changed stays to be kept or taken back.
     fn try_way(
         &mut self,
         mesh: &mut ImprovementMesh,
         way: Way,
         place: Place,
-        near: &[u32],
-        mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
+        around: &Surroundings,
+        mend: &mut impl FnMut(&mut ImprovementMesh, &Surroundings) -> Result<()>,
     ) -> Result<bool> {
         match (way, place) {
             (Way::Flip, Place::Between(chord)) => {
                 let is_flipped = flip(mesh, &chord, LEAST_PERTURBED);
                 if is_flipped {
-                    mend(mesh, near)?;
+                    mend(mesh, around)?;
                 }
                 Ok(is_flipped)
             }
             (Way::Slide(end), Place::Between(Chord::Edge(ends, eighths))) => {
-                self.slide(mesh, (ends, eighths), end, near, mend)
+                self.slide(mesh, (ends, eighths), end, around, mend)
             }
             (Way::Flip | Way::Slide(_), _) => Ok(false),
-            (Way::Move(towards), _) => self.bring_nearer(mesh, (place, towards), near, mend),
+            (Way::Move(towards), _) => self.bring_nearer(mesh, (place, towards), around, mend),
         }
     }
 
@@ -284,8 +286,8 @@ impl Approach {
         &self,
         mesh: &mut ImprovementMesh,
         (place, towards): (Place, Towards),
-        near: &[u32],
-        mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
+        around: &Surroundings,
+        mend: &mut impl FnMut(&mut ImprovementMesh, &Surroundings) -> Result<()>,
     ) -> Result<bool> {
         let ApproachBounds { range: [tolerance, _], left, ways, .. } = self.bounds;
         let start = if ways != Ways::Moves { Start::Anywhere } else { Start::Nearer };
@@ -306,7 +308,8 @@ impl Approach {
         if off <= tolerance {
             return Ok(false);
         }
-        let near: Vec<u32> = near.iter().copied().chain([v]).collect();
+        let near: Vec<u32> = around.vertices.iter().copied().chain([v]).collect();
+        let around = Surroundings { vertices: &near, ..*around };
         let needed = Threshold::of(LEAST_PERTURBED);
         let mut nearest = f64::INFINITY;
         let advances = if ways != Ways::Moves { MORE_ADVANCES } else { ADVANCES };
@@ -314,7 +317,7 @@ impl Approach {
             let advance = mesh.begin_trial();
             let from = mesh.points[v as usize];
             place_first(mesh, v, from, goal, &needed);
-            mend(mesh, &near)?;
+            mend(mesh, &around)?;
             let now = if mesh.ball(v).is_empty() { f64::INFINITY } else { goal.distance(mesh.points[v as usize]) };
             if now >= nearest && ways != Ways::Moves {
                 mesh.take_back(advance);
@@ -335,8 +338,8 @@ impl Approach {
         mesh: &mut ImprovementMesh,
         (ends, eighths): ([u32; 2], u8),
         end: usize,
-        near: &[u32],
-        mend: &mut impl FnMut(&mut ImprovementMesh, &[u32]) -> Result<()>,
+        around: &Surroundings,
+        mend: &mut impl FnMut(&mut ImprovementMesh, &Surroundings) -> Result<()>,
     ) -> Result<bool> {
         let v = ends[end];
         let Some(cut) = cut_of_edge(mesh, ends, eighths, Towards::Crease) else { return Ok(false) };
@@ -348,7 +351,7 @@ impl Approach {
         if !place_first(mesh, v, mesh.points[v as usize], cut.goal, &Threshold::of(LEAST_PERTURBED)) {
             return Ok(false);
         }
-        mend(mesh, near)?;
+        mend(mesh, around)?;
         Ok(self.cuts.farthest_around(mesh, &ends) <= self.bounds.left * off)
     }
 }
