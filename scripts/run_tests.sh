@@ -5,12 +5,15 @@ cd "$(dirname "$0")/.."
 export CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-$PWD/target}
 # Tests need the release build soon rather than as fast as it gets: the same code, compiled in parts on all cores.
 export CARGO_PROFILE_RELEASE_CODEGEN_UNITS=16
+# A test that fails names its line without debug information, which takes time to make.
+export CARGO_PROFILE_DEV_DEBUG=false
 logs=$CARGO_TARGET_DIR/test-logs
 build=$CARGO_TARGET_DIR/cmake
 mkdir -p "$logs"
 passed=0
 failed=0
 failures=()
+declare -A jobs_by_name
 started=$SECONDS
 
 # step NAME COMMAND...: one check; its output is shown when it fails.
@@ -50,6 +53,19 @@ counted() {
         echo "ok      $name: $good passed ($((SECONDS - begin)) s)"
     fi
 }
+# background NAME COMMAND...: begins a command beside the next checks, as those leave cores idle; `step NAME finished NAME` ends it.
+background() {
+    local name=$1
+    shift
+    "$@" > "$logs/$name.background.log" 2>&1 &
+    jobs_by_name[$name]=$!
+}
+finished() {
+    local status=0
+    wait "${jobs_by_name[$1]}" || status=$?
+    cat "$logs/$1.background.log"
+    return $status
+}
 read_cargo() {
     awk '/^test result:/ { good += $4; bad += $6 } END { print good + 0, bad + 0 }' "$1"
 }
@@ -57,19 +73,24 @@ read_ctest() {
     awk '/tests passed,/ { bad = $4; all = $9 } /out of/ { for (i = 1; i < NF; i++) if ($i == "of") all = $(i + 1) }
          END { print all - bad + 0, bad + 0 }' "$1"
 }
+# The release build and the other builds of cargo lock different folders of its target.
+step configure cmake -S . -B "$build" -DCMAKE_BUILD_TYPE=Release -DMESHWRIGHT_CARGO_TARGET_DIR="$CARGO_TARGET_DIR"
+background build cmake --build "$build" -j "$(nproc)"
+background python scripts/python.sh
 step format cargo fmt --check
 step clippy cargo clippy --locked --all-targets --quiet -- -D warnings
-counted rust read_cargo cargo test --locked --no-fail-fast
+# The library's own tests run with the internal assertions on; those from outside run the library that is built anyway.
+counted rust read_cargo cargo test --locked --no-fail-fast --lib
 step licences python3 scripts/third_party.py --check THIRD_PARTY.md
 step rustdoc env RUSTDOCFLAGS="-D warnings" cargo doc --locked --no-deps --lib --quiet
-
-step configure cmake -S . -B "$build" -DCMAKE_BUILD_TYPE=Release -DMESHWRIGHT_CARGO_TARGET_DIR="$CARGO_TARGET_DIR"
-step build cmake --build "$build" -j "$(nproc)"
+step build finished build
+counted interfaces read_cargo cargo test --locked --no-fail-fast --release --bins --test '*'
+counted documentation read_cargo cargo test --locked --no-fail-fast --release --doc
 counted ctest read_ctest ctest --test-dir "$build" -j "$(nproc)" --output-on-failure --no-tests=error
 step abi scripts/check_abi.sh
 
 # Python programs that compare with SimpleITK, meshio, Gmsh and others; each is one check.
-if step python scripts/python.sh; then
+if step python finished python; then
     for script in tests/python/check_*.py; do
         step "$(basename "$script" .py)" "$CARGO_TARGET_DIR/python/bin/python" "$script" \
             "$CARGO_TARGET_DIR/release/meshwright"
