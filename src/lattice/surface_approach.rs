@@ -23,8 +23,8 @@
 //!
 //! # Cost
 //! One distance per surface vertex, edge and face, in parallel, in later passes of those whose vertices were touched; a budget of
-//! places for the mesh, each touches a few rings of tets. Most of the surface around a place is measured once for all of its ways and
-//! for the places beside it ([`KnownCuts`]).
+//! places for the mesh, each touches a few rings of tets. After a way was tried only what it touched is looked at, by its tets and by
+//! its surface; most of that around a place is measured once for the places beside it too ([`KnownCuts`]).
 
 use glam::DVec3;
 use rayon::prelude::*;
