@@ -10,6 +10,8 @@
 //! # Cost
 //! About 54 bytes per vertex, 24 of them for its place in the lattice, and 20 per tet beside the mesh.
 
+use std::borrow::Cow;
+
 use glam::DVec3;
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
@@ -377,14 +379,19 @@ impl<'a> ImprovementMesh<'a> {
         &self.stars
     }
 
-    /// Faces at a vertex that separate two sides.
-    pub fn surface_faces(&self, v: u32) -> Vec<SurfaceFace> {
-        let mut faces = Vec::new();
-        self.append_surface_faces(v, &mut Vec::new(), &mut faces);
-        faces
+    /// Faces at a vertex that separate two sides, by their other vertices: its star where that is up to date.
+    pub fn surface_faces(&self, v: u32) -> Cow<'_, [SurfaceFace]> {
+        self.stars.of(v).map_or_else(
+            || {
+                let mut faces = Vec::new();
+                self.append_surface_faces(v, &mut Vec::new(), &mut faces);
+                Cow::Owned(faces)
+            },
+            Cow::Borrowed,
+        )
     }
 
-    /// Appends the faces at a vertex that separate two sides, by their other vertices; `open` is a scratch buffer.
+    /// Appends the faces at a vertex that separate two sides, found from its tets, by their other vertices; `open` is a scratch buffer.
     pub fn append_surface_faces(&self, v: u32, open: &mut Vec<OpenFace>, faces: &mut Vec<SurfaceFace>) {
         let first = faces.len();
         open.clear();

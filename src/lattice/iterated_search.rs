@@ -89,22 +89,23 @@ pub struct Outcome {
 impl Outcome {
     /// Of the tets of some vertices; those below `wanted` are low.
     pub fn of(mesh: &ImprovementMesh, vertices: Vec<u32>, wanted: f64) -> Self {
-        let wanted = Threshold::of(wanted);
-        let mut low = mesh.tets_of(vertices);
-        low.retain(|t| mesh.fails(*t, &wanted));
+        Self::among(mesh, low_tets_of(mesh, vertices, wanted))
+    }
+
+    fn among(mesh: &ImprovementMesh, low: Vec<u32>) -> Self {
         Self { lowest: mesh.lowest(&low), low }
     }
 
-    /// That of the same vertices, and of those that were `touched` since, once changes have been made: what none of these is part of is
+    /// That of the same vertices, and of those that were `touched` since (in order), once changes have been made: what none of these is part of is
     /// as it was.
     pub fn after(&self, mesh: &ImprovementMesh, touched: &[u32], wanted: f64) -> Self {
-        let Self { mut low, .. } = Self::of(mesh, touched.to_vec(), wanted);
-        let touched: FxHashSet<u32> = touched.iter().copied().collect();
+        let mut low = low_tets_of(mesh, touched.to_vec(), wanted);
         // A slot that was filled anew has a vertex that was touched.
-        let stays = |t: &&u32| mesh.is_live(**t) && !mesh.tets[**t as usize].iter().any(|v| touched.contains(v));
+        let stays =
+            |t: &&u32| mesh.is_live(**t) && !mesh.tets[**t as usize].iter().any(|v| touched.binary_search(v).is_ok());
         low.extend(self.low.iter().filter(stays));
         low.sort_unstable();
-        Self { lowest: mesh.lowest(&low), low }
+        Self::among(mesh, low)
     }
 
     /// Not more are low, and the lowest is no lower.
@@ -118,10 +119,18 @@ impl Outcome {
     }
 }
 
+/// The tets of some vertices below a score, in order.
+fn low_tets_of(mesh: &ImprovementMesh, vertices: Vec<u32>, wanted: f64) -> Vec<u32> {
+    let wanted = Threshold::of(wanted);
+    let mut low = mesh.tets_of(vertices);
+    low.retain(|t| mesh.fails(*t, &wanted));
+    low
+}
+
 /// What is around a place that is worked on within a trial.
 #[derive(Debug, Clone, Copy)]
 pub struct Surroundings<'a> {
-    /// The vertices around, some perhaps twice.
+    /// The vertices around, in order.
     pub vertices: &'a [u32],
     /// How low their tets were when the trial began.
     pub before: &'a Outcome,
@@ -132,13 +141,12 @@ pub struct Surroundings<'a> {
 impl Surroundings<'_> {
     /// The tets of the vertices that may be low now, in order: those that were, and those with a vertex that was touched.
     pub fn candidates(&self, mesh: &ImprovementMesh) -> Vec<u32> {
-        let around: FxHashSet<u32> = self.vertices.iter().copied().collect();
         let mut tets = mesh.tets_of(mesh.touched_since(self.trial));
         tets.extend(&self.before.low);
         tets.sort_unstable();
         tets.dedup();
         // A slot that was filled anew may be that of a tet elsewhere; an empty one has no vertex.
-        tets.retain(|t| mesh.tets[*t as usize].iter().any(|v| around.contains(v)));
+        tets.retain(|t| mesh.tets[*t as usize].iter().any(|v| self.vertices.binary_search(v).is_ok()));
         tets
     }
 }
@@ -252,7 +260,7 @@ impl IteratedSearch {
     }
 }
 
-/// The vertices within some rings of others.
+/// The vertices within some rings of others, in order.
 pub fn vertices_around(mesh: &ImprovementMesh, others: &[u32]) -> Vec<u32> {
     let mut vertices = others.to_vec();
     for _ in 0..RINGS {

@@ -308,7 +308,10 @@ impl Approach {
         if off <= tolerance {
             return Ok(false);
         }
-        let near: Vec<u32> = around.vertices.iter().copied().chain([v]).collect();
+        let mut near = around.vertices.to_vec();
+        if let Err(at) = near.binary_search(&v) {
+            near.insert(at, v);
+        }
         let around = Surroundings { vertices: &near, ..*around };
         let needed = Threshold::of(LEAST_PERTURBED);
         let mut nearest = f64::INFINITY;

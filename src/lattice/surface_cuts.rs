@@ -70,14 +70,8 @@ impl KnownCuts {
     /// inside, count for nothing.
     pub fn farthest_around(&mut self, mesh: &ImprovementMesh, vertices: &[u32]) -> f64 {
         let mut parts: Vec<SurfacePart> = Vec::new();
-        let (mut open, mut faces) = (Vec::new(), Vec::new());
         for v in vertices.iter().copied().filter(|v| mesh.is_on_surface(*v) && !mesh.ball(*v).is_empty()) {
-            let star = mesh.stars().of(v).unwrap_or_else(|| {
-                faces.clear();
-                mesh.append_surface_faces(v, &mut open, &mut faces);
-                &faces
-            });
-            for (at, face) in star.iter().enumerate() {
+            for (at, face) in mesh.surface_faces(v).iter().enumerate() {
                 let mut sides = mesh.labels_beside(face);
                 sides.sort_unstable();
                 if at == 0 {

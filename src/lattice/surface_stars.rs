@@ -219,7 +219,9 @@ mod tests {
         assert_eq!(sets.iter().map(Vec::len).sum::<usize>(), count);
         for set in sets {
             for &v in &set {
-                assert_eq!(stars.of(v).unwrap(), mesh.surface_faces(v));
+                let mut faces = Vec::new();
+                mesh.append_surface_faces(v, &mut Vec::new(), &mut faces);
+                assert_eq!(stars.of(v).unwrap(), faces);
                 let beside = mesh.ball(v).iter().flat_map(|t| mesh.tets[*t as usize]);
                 assert!(beside.filter(|w| *w != v).all(|w| !set.contains(&w)));
             }

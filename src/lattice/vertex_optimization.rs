@@ -17,7 +17,7 @@
 use glam::DVec3;
 
 use crate::lattice::element_score::{Ball, Threshold};
-use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace};
+use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::subvoxel_surface::Side;
 
 /// Directions of the search: axes and diagonals of a cube.
@@ -97,8 +97,7 @@ fn steps(place: DVec3, goal: DVec3, fractions: &[f64]) -> impl Iterator<Item = D
 /// Mean of the neighbours on the surface that separate at least the same sides, `None` below two; and the mean distance of all
 /// neighbours on the surface.
 fn around_on_surface(mesh: &ImprovementMesh, v: u32) -> (Option<DVec3>, f64) {
-    let of_others = |star: &[SurfaceFace]| star.iter().flat_map(|f| f.others).collect::<Vec<u32>>();
-    let mut near = mesh.stars().of(v).map_or_else(|| of_others(&mesh.surface_faces(v)), of_others);
+    let mut near: Vec<u32> = mesh.surface_faces(v).iter().flat_map(|f| f.others).collect();
     near.sort_unstable();
     near.dedup();
     let at = |w: &u32| mesh.points[*w as usize];
