@@ -72,7 +72,8 @@ read_ctest() {
          END { print all - bad + 0, bad + 0 }' "$1"
 }
 # The library's own tests, with its internal assertions on. They share the dependencies of the release build, where only this
-# crate differs; at level 1 it takes a sixth less time to compile than at 2, and the tests a tenth more (measured: 231 + 148 s, 277 + 135 s).
+# crate differs; at level 1 it takes a sixth less time to compile than at 2, and the tests a tenth more (measured: 231 + 148 s
+# and 277 + 135 s).
 library_tests() {
     local ours=profile.release.package.meshwright
     cargo test --locked --no-fail-fast --release --lib --config $ours.opt-level=1 \

@@ -96,13 +96,12 @@ impl Outcome {
         Self { lowest: mesh.lowest(&low), low }
     }
 
-    /// That of the same vertices, and of those that were `touched` since (in order), once changes have been made: what none of these is part of is
-    /// as it was.
+    /// That of the same vertices, and of those that were `touched` since (in order), once changes have been made: what none of these
+    /// is part of is as it was.
     pub fn after(&self, mesh: &ImprovementMesh, touched: &[u32], wanted: f64) -> Self {
         let mut low = low_tets_of(mesh, touched.to_vec(), wanted);
         // A slot that was filled anew has a vertex that was touched.
-        let stays =
-            |t: &&u32| mesh.is_live(**t) && !mesh.tets[**t as usize].iter().any(|v| touched.binary_search(v).is_ok());
+        let stays = |t: &&u32| mesh.is_live(**t) && !has_any_of(mesh, **t, touched);
         low.extend(self.low.iter().filter(stays));
         low.sort_unstable();
         Self::among(mesh, low)
@@ -127,6 +126,11 @@ fn low_tets_of(mesh: &ImprovementMesh, vertices: Vec<u32>, wanted: f64) -> Vec<u
     low
 }
 
+/// Whether a tet has any of some vertices, which are in order.
+fn has_any_of(mesh: &ImprovementMesh, t: u32, vertices: &[u32]) -> bool {
+    mesh.tets[t as usize].iter().any(|v| vertices.binary_search(v).is_ok())
+}
+
 /// What is around a place that is worked on within a trial.
 #[derive(Debug, Clone, Copy)]
 pub struct Surroundings<'a> {
@@ -146,7 +150,7 @@ impl Surroundings<'_> {
         tets.sort_unstable();
         tets.dedup();
         // A slot that was filled anew may be that of a tet elsewhere; an empty one has no vertex.
-        tets.retain(|t| mesh.tets[*t as usize].iter().any(|v| self.vertices.binary_search(v).is_ok()));
+        tets.retain(|t| has_any_of(mesh, *t, self.vertices));
         tets
     }
 }

@@ -204,25 +204,20 @@ fn displacements_of(
     let mut confidence: Vec<f64> = wanted.iter().map(|w| f64::from(u8::from(w.is_some()))).collect();
     let mut displacements = vec![DVec3::ZERO; mesh.points.len()];
     let mut right = vec![DVec3::ZERO; mesh.points.len()];
-    let mut residual = Vec::new();
+    let mut residual = vec![DVec3::ZERO; mesh.points.len()];
     for attempt in 0..=input.options.max_confidence_iterations {
         let pulls: Vec<f64> = confidence.iter().map(|c| input.options.flexibility * c).collect();
         let force = |(at, v): (usize, &VertexId)| {
             if body.held[v.index()] { DVec3::ZERO } else { wanted[at].unwrap_or(DVec3::ZERO) * pulls[at] }
         };
         let forces: Vec<DVec3> = input.sources.vertices.par_iter().enumerate().with_min_len(4096).map(force).collect();
-        if attempt > 0 {
-            // Only the springs change: a product with the whole matrix costs as much as an iteration. The forces of the springs
-            // are added first.
-            for_each_source(input.sources, &mut residual, |at, row, residual| {
-                let weaker = springs.pulls[at] - pulls[at];
-                *residual += forces[at] - right[row] + weaker * displacements[row];
-            });
-        }
+        // Only the springs change: a product with the whole matrix costs as much as an iteration. The forces of the springs are
+        // added first. At the first attempt nothing has moved, and there are no forces yet.
+        for_each_source(input.sources, &mut residual, |at, row, residual| {
+            let weaker = springs.pulls[at] - pulls[at];
+            *residual += forces[at] - right[row] + weaker * displacements[row];
+        });
         for_each_source(input.sources, &mut right, |at, _, right| *right = forces[at]);
-        if attempt == 0 {
-            residual = right.clone();
-        }
         springs.set(input.sources, &pulls, &body.diagonals);
         let rule = StoppingRule { relative_tolerance: RELATIVE_TOLERANCE, max_iterations: MAX_SOLVER_ITERATIONS };
         let Springs { matrix, preconditioner, .. } = springs;
