@@ -124,6 +124,13 @@ impl Label {
     pub fn is_background(self) -> bool {
         self.0 == 0
     }
+
+    /// Whether what has this label is part of the solid of a label: of what has that label, for the background of all labels
+    /// together, whose surface is that of the background.
+    #[inline]
+    pub fn is_in_solid_of(self, label: Self) -> bool {
+        (self == label) != label.is_background()
+    }
 }
 
 #[cfg(test)]

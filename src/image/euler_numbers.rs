@@ -17,7 +17,7 @@ use crate::error::Result;
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
 
-/// Euler numbers of all labels, 26- and 6-connected; none are counted for the background.
+/// Euler numbers of all labels, 26- and 6-connected; that of the background is that of all labels together.
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
@@ -37,8 +37,9 @@ pub fn euler_numbers(image: &LabelImage, context: &RunContext) -> Result<Vec<[i6
                 continue;
             }
             let is_first = |side: &usize| !labels[..*side].contains(&labels[*side]);
-            for label in (0..8).filter(is_first).map(|side| labels[side]).filter(|l| !l.is_background()) {
-                let bits = (0..8).filter(|side| labels[*side] == label).fold(0, |bits, side| bits | 1usize << side);
+            for label in (0..8).filter(is_first).map(|side| labels[side]) {
+                let is_in = |side: &usize| labels[*side].is_in_solid_of(label);
+                let bits = (0..8).filter(is_in).fold(0, |bits, side| bits | 1usize << side);
                 let sum = &mut sums[label.index()];
                 *sum = [sum[0] + contributions[0][bits], sum[1] + contributions[1][bits]];
             }

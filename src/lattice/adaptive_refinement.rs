@@ -130,12 +130,11 @@ pub fn refine(
     if options.local_closure {
         lattice.close_locally();
     }
-    // Without contacts at corners and edges both readings agree.
-    let euler = match input.region_threshold {
-        Some(_) => euler_numbers(input.image, context)?.into_iter().map(|[closed, _]| closed).collect(),
-        None => Vec::new(),
-    };
     let smooths = options.smoothing_iterations > 0;
+    let euler = match smooths || input.region_threshold.is_some() {
+        true => report.timed("topology", || euler_numbers(input.image, context))?,
+        false => Vec::new(),
+    };
     let lost = Vec::new();
     let mut rounds = Rounds { input, components, totals, face_components: None, euler, smooths, lost, report, context };
     let elements = rounds.run(&mut lattice)?;
@@ -192,8 +191,8 @@ struct Rounds<'a> {
     totals: Vec<LabelCount>,
     /// How many pieces each label has in the image, once somebody asked.
     face_components: Option<Vec<i64>>,
-    /// Euler numbers of the labels in the image, where sub-meshes are to have the same; else none.
-    euler: Vec<i64>,
+    /// Euler numbers of the labels in the image, in both readings, where what is pinched is made manifold; else none.
+    euler: Vec<[i64; 2]>,
     /// Whether surfaces are smoothed afterwards: then pinches are in the way.
     smooths: bool,
     /// Components without an element at the end.
@@ -440,10 +439,9 @@ impl Rounds<'_> {
         };
         // Where the changes cost too many voxels all told, those that cost none remain.
         let context = self.context;
-        let euler = match self.euler.as_slice() {
-            [] => None,
-            wanted => Some(self.report.timed("topology", || topology.euler_ranges(&unchanged, wanted, context))?),
-        };
+        let wanted = self.input.region_threshold.map(|_| self.euler.as_slice());
+        let of_mesh = |wanted| self.report.timed("topology", || topology.euler_ranges(&unchanged, wanted, context));
+        let euler = wanted.map(of_mesh).transpose()?;
         for most_lost in [usize::MAX, 0] {
             let may_lose = |labels: &[Label], changed: &[u32], label: Label| {
                 voxels_lost(labels, changed, label).filter(|lost| *lost <= most_lost)
@@ -569,7 +567,9 @@ impl Rounds<'_> {
                 joinable
             };
             let extent = if round < CARVING_ROUNDS { Extent::NearLabel } else { Extent::Whole };
-            let rules = FillingRules { regions: &joinable, euler: &self.euler, extent };
+            // What is checked is to have the image's numbers; nowhere else is a tunnel made for them.
+            let brings_nearer = self.input.region_threshold.is_some();
+            let rules = FillingRules { regions: &joinable, euler: &self.euler, brings_nearer, extent };
             let fillings = choose_fillings(lattice, elements, &neighbors, &pinches, &rules, context)?;
             let Carved { vertices, numbers } = carve(lattice, elements, &fillings, context)?;
             self.report.add("topology.carved_vertices", vertices as f64);

@@ -5,10 +5,17 @@
 //!    itself, as an open one it has not. What makes the surface manifold chooses, pinch by pinch.
 //! 2. Both are sums over the vertices on surfaces: half of each edge there, a third of each face, a quarter of each element, in
 //!    twelfths. A vertex inside of a label adds nothing. So a change of labels is counted at its own vertices only.
-//! 3. A choice is good as long as the image's number stays between the two.
+//! 3. A choice is good as long as the image's number stays between the two. Where voxels of a label touch only along an edge or at a
+//!    corner the image has two numbers itself, most often; the contacts are resolved one by one then, and no number says how.
+//! 4. Where a neighbourhood of vertices and of what they span takes a label ([`super::interface_carving`]), that label is joined with a
+//!    body that shrinks to what they span, and the others lose it: Euler numbers of unions and of what they share give the changes.
+//! 5. All labels together are a body too, whose surface is that of the background: it is counted as that.
 //!
 //! # Source
 //! [KongRosenfeld1989] for the two readings, of voxels there.
+//!
+//! # Cost
+//! Around a vertex where a surface is one disc, which are nearly all, both numbers follow from the number of its faces there.
 //!
 //! # Limits
 //! The sum over the mesh counts: a tunnel too many in one place and one too few in another hide each other, also from
@@ -19,7 +26,7 @@ use rayon::prelude::*;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::Label;
-use crate::lattice::interface_topology::InterfaceTopology;
+use crate::lattice::interface_topology::{InterfaceTopology, Links, MOST_COUNTED, group_count};
 use crate::mesh::numbering::TET_FACES;
 
 /// Parts of one that a vertex can add.
@@ -32,19 +39,19 @@ const CHUNK: usize = 4096;
 /// an open one, which has not, in twelfths. A surface that is made manifold ends up with a number between them.
 pub type EulerNumbers = [i64; 2];
 
-/// Euler numbers of the labels of a mesh, and those of the image.
+/// Euler numbers of the labels of a mesh, and those of the image; those of the background are of all labels together.
 #[derive(Debug, Clone)]
 pub struct EulerRanges {
     now: Vec<EulerNumbers>,
-    wanted: Vec<i64>,
+    /// That of the image, where it has but one.
+    wanted: Vec<Option<i64>>,
 }
 
 impl EulerRanges {
     /// How far a label would be from what is wanted, in twelfths.
     fn distance(&self, label: Label, change: EulerNumbers) -> i64 {
         let [closed, open] = [0, 1].map(|reading| self.now[label.index()][reading] + change[reading]);
-        let wanted = self.wanted[label.index()];
-        (closed.min(open) - wanted).max(wanted - closed.max(open)).max(0)
+        self.wanted[label.index()].map_or(0, |wanted| (closed.min(open) - wanted).max(wanted - closed.max(open)).max(0))
     }
 
     /// How much farther from what is wanted some labels would be after changes.
@@ -62,31 +69,48 @@ impl EulerRanges {
 
     /// The labels that have, or may have once nothing pinches, another Euler number than is wanted.
     pub fn differing(&self) -> Vec<Label> {
-        let differs = |label: &Label| self.now[label.index()].iter().any(|n| *n != self.wanted[label.index()]);
+        let differs = |label: &Label| {
+            self.wanted[label.index()].is_some_and(|wanted| self.now[label.index()].iter().any(|n| *n != wanted))
+        };
         (1..self.now.len() as u16).map(Label).filter(differs).collect()
     }
 
     /// Euler numbers in the mesh and in the image of a label that has another one than is wanted, whatever becomes of its pinches.
     pub fn out_of_reach(&self, label: Label) -> Option<[i64; 2]> {
-        let numbers = [self.now[label.index()][0], self.wanted[label.index()]].map(|n| n / TWELFTHS);
-        (self.distance(label, [0; 2]) > 0).then_some(numbers)
+        let wanted = self.wanted[label.index()].filter(|_| self.distance(label, [0; 2]) > 0)?;
+        Some([self.now[label.index()][0], wanted].map(|n| n / TWELFTHS))
     }
 }
 
+/// What the Euler numbers of a label change by when a neighbourhood of some vertices becomes part of it, or of something else.
+#[derive(Debug, Clone, Copy)]
+pub struct Filling {
+    label: Label,
+    joined: EulerNumbers,
+    taken: EulerNumbers,
+}
+
+/// The changes when the neighbourhood takes a label.
+pub fn changes_by_filling(fillings: &[Filling], label: Label) -> Vec<(Label, EulerNumbers)> {
+    let change = |of: &Filling| (of.label, if label.is_in_solid_of(of.label) { of.joined } else { of.taken });
+    fillings.iter().map(change).collect()
+}
+
 impl InterfaceTopology<'_> {
-    /// The Euler numbers of the labels, whose image has those `wanted`.
+    /// The Euler numbers of the labels; `wanted` are both readings of the image.
     ///
     /// # Errors
     /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
-    pub fn euler_ranges(&self, labels: &[Label], wanted: &[i64], context: &RunContext) -> Result<EulerRanges> {
+    pub fn euler_ranges(&self, labels: &[Label], wanted: &[[i64; 2]], context: &RunContext) -> Result<EulerRanges> {
         let none = || vec![[0i64; 2]; wanted.len()];
         let add = |mut sums: Vec<EulerNumbers>, other: Vec<EulerNumbers>| {
             sums.iter_mut().zip(other).for_each(|(s, o)| *s = [s[0] + o[0], s[1] + o[1]]);
             sums
         };
         let of_vertex = |mut sums: Vec<EulerNumbers>, v: u32| {
-            for label in self.labels_around(v, labels).into_iter().filter(|l| !l.is_background()) {
-                let [closed, open] = self.euler_at(v, label, labels);
+            let links = self.has_links(v).then(|| self.links(v));
+            for label in self.labels_around(v, labels) {
+                let [closed, open] = self.euler_at(v, label, labels, links.as_ref());
                 let sum = &mut sums[label.index()];
                 *sum = [sum[0] + closed, sum[1] + open];
             }
@@ -97,13 +121,24 @@ impl InterfaceTopology<'_> {
         // Whole numbers: the sums do not depend on the order.
         let now = mixed.fold(none, of_vertex).reduce(none, add);
         context.check()?;
-        Ok(EulerRanges { now, wanted: wanted.iter().map(|w| TWELFTHS * w).collect() })
+        let of_label = |[closed, open]: &[i64; 2]| (closed == open).then_some(TWELFTHS * closed);
+        Ok(EulerRanges { now, wanted: wanted.iter().map(of_label).collect() })
     }
 
-    /// What a vertex adds to the Euler numbers of a label: half of each edge there, a third of each face, a quarter of each
-    /// element, in twelfths. Nothing where the label is all around.
-    fn euler_at(&self, vertex: u32, label: Label, labels: &[Label]) -> EulerNumbers {
-        let own = self.ball(vertex).iter().filter(|e| labels[**e as usize] == label);
+    /// What a vertex on the surface of a label adds to its Euler numbers; the links of the vertex, if it has them.
+    fn euler_at(&self, vertex: u32, label: Label, labels: &[Label], links: Option<&Links>) -> EulerNumbers {
+        let is_in = |e: &u32| labels[*e as usize].is_in_solid_of(label);
+        match links.and_then(|links| faces_of_disc(self.ball(vertex).iter().map(is_in), links)) {
+            // One disc on the sphere around: of corners, sides and triangles, counted as below, its rim is left.
+            Some(faces) => [TWELFTHS / 2 - faces; 2],
+            None => self.euler_by_lists(vertex, label, labels),
+        }
+    }
+
+    /// As [`euler_at`](Self::euler_at), whatever the surface is there: half of each edge, a third of each face, a quarter of each
+    /// element, in twelfths.
+    fn euler_by_lists(&self, vertex: u32, label: Label, labels: &[Label]) -> EulerNumbers {
+        let own = self.ball(vertex).iter().filter(|e| labels[**e as usize].is_in_solid_of(label));
         let (mut edges, mut faces) = (Vec::new(), Vec::new());
         let mut elements = 0;
         for element in own {
@@ -135,7 +170,6 @@ impl InterfaceTopology<'_> {
         let mut concerned: Vec<Label> = elements.iter().map(|e| labels[*e as usize]).chain([label]).collect();
         concerned.sort_unstable();
         concerned.dedup();
-        concerned.retain(|l| !l.is_background());
         let vertices = self.vertices_of(elements);
         let sum = |of: Label, labels: &[Label]| {
             let add = |sum: EulerNumbers, at: EulerNumbers| [sum[0] + at[0], sum[1] + at[1]];
@@ -150,29 +184,83 @@ impl InterfaceTopology<'_> {
         concerned.into_iter().zip(before.into_iter().zip(after).map(difference)).collect()
     }
 
-    /// What the Euler numbers change by when a neighbourhood of some vertices takes a label: it is a closed body there, and the
-    /// others are open ones. Edges between the vertices are left out of account.
-    pub fn euler_changes_by_filling(
-        &self,
-        group: &[u32],
-        label: Label,
-        labels: &[Label],
-    ) -> Vec<(Label, EulerNumbers)> {
+    /// What the Euler numbers of each label around change by when a neighbourhood of some vertices, in order, takes a label.
+    pub fn fillings_of(&self, group: &[u32], labels: &[Label]) -> Vec<Filling> {
         let mut around: Vec<Label> = group.iter().flat_map(|v| self.labels_around(*v, labels)).collect();
         around.sort_unstable();
         around.dedup();
-        around.retain(|l| !l.is_background());
-        let change = |of: Label| {
-            let gap: i64 = group.iter().map(|v| self.euler_at_if_mixed(*v, of, labels)).map(|[c, o]| c - o).sum();
-            (of, if of == label { [0, gap] } else { [-gap, 0] })
-        };
-        around.into_iter().map(change).collect()
+        if group.iter().any(|v| self.is_open(*v)) {
+            return around.into_iter().map(|of| self.filling_at_open(group, of, labels)).collect();
+        }
+        let mut fillings: Vec<Filling> =
+            around.into_iter().map(|label| Filling { label, joined: [0; 2], taken: [0; 2] }).collect();
+        for v in group {
+            for simplex in self.simplices_from(*v, group, labels).chunk_by(|l, r| l.0 == r.0) {
+                let corners = simplex[0].0.iter().filter(|v| **v != u32::MAX);
+                let is_within = corners.clone().all(|v| group.binary_search(v).is_ok());
+                let sign = if corners.count() % 2 == 1 { TWELFTHS } else { -TWELFTHS };
+                for filling in &mut fillings {
+                    for (side, is_body) in [true, false].into_iter().enumerate() {
+                        let is_on_side = simplex.iter().any(|(_, own)| own.is_in_solid_of(filling.label) == is_body);
+                        // What the neighbourhood joins gets what its vertices span and did not have; what it is taken from loses that,
+                        // but for the rim, where what is cut has one dimension less.
+                        let joins = if is_within && !is_on_side { sign } else { 0 };
+                        let leaves = if is_on_side { -sign } else { 0 };
+                        let (joined, taken) = if is_body { (joins, leaves) } else { (leaves, joins) };
+                        filling.joined[side] += joined;
+                        filling.taken[side] += taken;
+                    }
+                }
+            }
+        }
+        fillings
+    }
+
+    /// What to expect where the rest is not all of the lattice: a neighbourhood is a closed body for what it joins, and the others are
+    /// open ones.
+    fn filling_at_open(&self, group: &[u32], label: Label, labels: &[Label]) -> Filling {
+        let gap: i64 = group.iter().map(|v| self.euler_at_if_mixed(*v, label, labels)).map(|[c, o]| c - o).sum();
+        Filling { label, joined: [0, gap], taken: [-gap, 0] }
+    }
+
+    /// The simplices whose first vertex of a group is a given one, in order, each with the labels of the elements that have it; unused
+    /// corners are last.
+    fn simplices_from(&self, vertex: u32, group: &[u32], labels: &[Label]) -> Vec<([u32; 4], Label)> {
+        let mut simplices = Vec::new();
+        for element in self.ball(vertex) {
+            let tet = self.tets[*element as usize];
+            for set in 1..16 {
+                let mut corners: [u32; 4] = std::array::from_fn(|i| if set >> i & 1 == 1 { tet[i] } else { u32::MAX });
+                corners.sort_unstable();
+                if corners.iter().find(|v| group.binary_search(v).is_ok()) == Some(&vertex) {
+                    simplices.push((corners, labels[*element as usize]));
+                }
+            }
+        }
+        simplices.sort_unstable();
+        simplices.dedup();
+        simplices
     }
 
     fn euler_at_if_mixed(&self, vertex: u32, label: Label, labels: &[Label]) -> EulerNumbers {
-        let is_all = !self.is_open(vertex) && self.ball(vertex).iter().all(|e| labels[*e as usize] == label);
-        if is_all { [0; 2] } else { self.euler_at(vertex, label, labels) }
+        let is_in = |e: &u32| labels[*e as usize].is_in_solid_of(label);
+        if !self.is_open(vertex) && self.ball(vertex).iter().all(is_in) {
+            return [0; 2];
+        }
+        let links = self.has_links(vertex).then(|| self.links(vertex));
+        self.euler_at(vertex, label, labels, links.as_ref())
     }
+}
+
+/// The number of faces around a vertex between what is in a body and the rest, where they are one disc; `is_in` tells for each
+/// element of the ball.
+fn faces_of_disc(is_in: impl ExactSizeIterator<Item = bool>, links: &Links) -> Option<i64> {
+    let all = u128::MAX >> (MOST_COUNTED - is_in.len());
+    let own = is_in.enumerate().fold(0u128, |marks, (at, is_in)| marks | u128::from(is_in) << at);
+    (group_count(own, links) == 1 && group_count(all & !own, links) == 1).then(|| {
+        let of_element = |at: usize| links[at].iter().filter(|link| own >> **link & 1 == 0).count() as i64;
+        (0..MOST_COUNTED).filter(|at| own >> at & 1 == 1).map(of_element).sum()
+    })
 }
 
 #[cfg(test)]
@@ -195,9 +283,9 @@ mod tests {
             let vertices = lattice.vertices.positions.len();
             let neighbors = neighbors_of(&elements.tets, vertices, context).unwrap();
             let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices, context).unwrap();
-            let mut ranges = topology.euler_ranges(&elements.labels, &[0, 0, 1], context).unwrap();
+            let mut ranges = topology.euler_ranges(&elements.labels, &[[0; 2], [0; 2], [1; 2]], context).unwrap();
             assert!([1, 2].iter().all(|l| ranges.out_of_reach(Label(*l)).is_none()), "{ranges:?}");
-            let off = topology.euler_ranges(&elements.labels, &[0, 0, 2], context).unwrap();
+            let off = topology.euler_ranges(&elements.labels, &[[0; 2], [0; 2], [2; 2]], context).unwrap();
             assert!(off.out_of_reach(Label(2)).is_some());
             // Changes of any elements, one after another.
             for step in 0..60 {
@@ -207,7 +295,10 @@ mod tests {
                 elements.labels[e] = label;
                 ranges.add(&changes);
             }
-            assert_eq!(ranges.now, topology.euler_ranges(&elements.labels, &[0, 0, 1], context).unwrap().now);
+            assert_eq!(
+                ranges.now,
+                topology.euler_ranges(&elements.labels, &[[0; 2], [0; 2], [1; 2]], context).unwrap().now
+            );
         });
     }
 
@@ -218,9 +309,11 @@ mod tests {
         let neighbors = neighbors_of(&tets, 7, &context).unwrap();
         let topology = InterfaceTopology::new(&tets, &neighbors, 7, &context).unwrap();
         let labels = [Label(1); 2];
-        let ranges = topology.euler_ranges(&labels, &[0, 1], &context).unwrap();
+        let ranges = topology.euler_ranges(&labels, &[[0; 2], [1; 2]], &context).unwrap();
         assert_eq!(ranges.now[1], [TWELFTHS, 2 * TWELFTHS]);
-        assert_eq!(ranges.distance_after(&topology.euler_changes_by_filling(&[0], Label(1), &labels)), 0);
-        assert_eq!(ranges.distance_after(&topology.euler_changes_by_filling(&[0], Label(0), &labels)), TWELFTHS);
+        let fillings = topology.fillings_of(&[0], &labels);
+        assert_eq!(ranges.distance_after(&changes_by_filling(&fillings, Label(1))), 0);
+        // All labels together are that one.
+        assert_eq!(ranges.distance_after(&changes_by_filling(&fillings[1..], Label(0))), TWELFTHS);
     }
 }

@@ -8,7 +8,7 @@
 //!    them as any other, of these the label whose pieces the pinch keeps apart, or that lies between two others that touch;
 //!    not one that would join two components of the image. The vertices that do not have the label are left for another
 //!    round, with other labels, while rounds are left. Where Euler numbers are to be kept, first of all one that leaves
-//!    them within reach ([`super::euler_ranges`]).
+//!    them within reach ([`super::euler_ranges`]); where none does the vertices are filled one by one, as far as that does.
 //! 3. The corners of a breach of a wall ([`super::image_contacts`]) count as pinched; the label of its group is the one that the
 //!    image keeps apart from the fewest of the elements around, which is the wall's.
 //!
@@ -45,7 +45,7 @@ use rayon::prelude::*;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::Label;
-use crate::lattice::euler_ranges::EulerRanges;
+use crate::lattice::euler_ranges::{EulerNumbers, EulerRanges, changes_by_filling};
 use crate::lattice::image_contacts::ImageContacts;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::red_green::{CHANGED, Elements, RedGreenLattice};
@@ -78,8 +78,10 @@ pub enum Extent {
 pub struct FillingRules<'a> {
     /// The pieces of labels, some of which may be joined.
     pub regions: &'a Regions,
-    /// The Euler numbers that labels are to have, or none.
-    pub euler: &'a [i64],
+    /// The Euler numbers of the image, in both readings, that labels are to have, or none.
+    pub euler: &'a [[i64; 2]],
+    /// Whether one that is off is brought nearer by what is filled: that hides a tunnel in one place by another elsewhere.
+    pub brings_nearer: bool,
     /// How much of a group is filled.
     pub extent: Extent,
 }
@@ -144,6 +146,12 @@ pub struct Fillings {
     labels: Vec<Label>,
 }
 
+impl Fillings {
+    fn has(&self, vertex: u32) -> bool {
+        self.group_of[vertex as usize] != u32::MAX
+    }
+}
+
 /// Cuts the elements around the pinched vertices and labels the inner parts.
 ///
 /// # Errors
@@ -174,38 +182,100 @@ pub fn choose_fillings(
 ) -> Result<Fillings> {
     let vertices = lattice.vertices.positions.len();
     let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices, context)?;
-    let mut euler = match rules.euler {
+    let euler = match rules.euler {
         [] => None,
         wanted => Some(topology.euler_ranges(&elements.labels, wanted, context)?),
     };
-    let mut group_of = vec![u32::MAX; vertices];
-    let mut labels = Vec::new();
-    let has = |v: u32, label: Label| topology.has_label(v, label, &elements.labels);
     let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
-    for (at, mut group) in groups_of(&topology, &pinches.vertices, &elements.tets).into_iter().enumerate() {
+    let mut choice = Choice { lattice, elements, topology, contacts, pinches, rules, euler };
+    let mut fillings = Fillings { group_of: vec![u32::MAX; vertices], labels: Vec::new() };
+    for (at, group) in groups_of(&choice.topology, &pinches.vertices, &elements.tets).into_iter().enumerate() {
         context.check_every(GROUPS_PER_CHECK, at)?;
-        let around = topology.elements_around(&group);
-        let can_halve = |times: u32| around.iter().all(|e| has_middles(lattice, &elements.tets[*e as usize], times));
-        if !can_halve(1) {
+        let Some(filled) = choice.filled(&group) else { continue };
+        if filled.off <= 0 || !choice.may_leave_some(&group) {
+            choice.take(filled, &mut fillings);
             continue;
+        }
+        // What a chain of vertices spans may join what lies apart: one by one, those beside a filled one in another round.
+        for v in &group {
+            if choice.topology.vertices_of(choice.topology.ball(*v)).iter().any(|near| fillings.has(*near)) {
+                continue;
+            }
+            if let Some(filled) = choice.filled(&[*v]).filter(|filled| filled.off <= 0) {
+                choice.take(filled, &mut fillings);
+            }
+        }
+    }
+    Ok(fillings)
+}
+
+/// Vertices and the label that their neighbourhood is to take.
+struct Filled {
+    group: Vec<u32>,
+    label: Label,
+    /// What the Euler numbers change by, and by how much farther from their ranges they are then.
+    changes: Vec<(Label, EulerNumbers)>,
+    off: i64,
+}
+
+/// What fillings are chosen by.
+struct Choice<'a> {
+    lattice: &'a RedGreenLattice<'a>,
+    elements: &'a Elements,
+    topology: InterfaceTopology<'a>,
+    contacts: ImageContacts<'a>,
+    pinches: &'a Pinches,
+    rules: &'a FillingRules<'a>,
+    /// The Euler numbers with what has been chosen, where they are to be kept.
+    euler: Option<EulerRanges>,
+}
+
+impl Choice<'_> {
+    /// What a group of pinched vertices is to be filled with, all of it or those that have the label; `None` where it stays.
+    fn filled(&self, group: &[u32]) -> Option<Filled> {
+        let Self { elements, topology, contacts, pinches, .. } = self;
+        let labels = &elements.labels;
+        let around = topology.elements_around(group);
+        if !self.can_halve(&around, 1) {
+            return None;
         }
         let is_breached = group.iter().any(|v| pinches.breached.binary_search(v).is_ok());
         let opened = |label: Label| {
-            let count = || around.iter().filter(|e| contacts.keeps_apart(**e, &elements.labels, label)).count();
+            let count = || around.iter().filter(|e| contacts.keeps_apart(**e, labels, label)).count();
             if is_breached { count() } else { 0 }
         };
-        let label = label_for(&topology, &group, &elements.labels, rules.regions, euler.as_ref(), opened);
-        let Some(label) = label else { continue };
-        if rules.extent == Extent::NearLabel && can_halve(2) && group.iter().any(|v| has(*v, label)) {
-            group.retain(|v| has(*v, label));
+        let numbers =
+            |group: &[u32]| self.euler.as_ref().map(|_| topology.fillings_of(group, labels)).unwrap_or_default();
+        let of_group = numbers(group);
+        let least = if self.rules.brings_nearer { i64::MIN } else { 0 };
+        let off = |changes: &[_]| self.euler.as_ref().map_or(0, |euler| euler.distance_after(changes).max(least));
+        let off_with = |label: Label| off(&changes_by_filling(&of_group, label));
+        let label = label_for(topology, group, labels, self.rules.regions, off_with, opened)?;
+        let with_label: Vec<u32> = group.iter().copied().filter(|v| topology.has_label(*v, label, labels)).collect();
+        if self.may_leave_some(group) && !with_label.is_empty() && with_label.len() < group.len() {
+            let changes = changes_by_filling(&numbers(&with_label), label);
+            return Some(Filled { group: with_label, label, off: off(&changes), changes });
         }
-        if let Some(euler) = &mut euler {
-            euler.add(&topology.euler_changes_by_filling(&group, label, &elements.labels));
-        }
-        group.iter().for_each(|v| group_of[*v as usize] = labels.len() as u32);
-        labels.push(label);
+        let changes = changes_by_filling(&of_group, label);
+        Some(Filled { group: group.to_vec(), label, off: off(&changes), changes })
     }
-    Ok(Fillings { group_of, labels })
+
+    /// Whether some vertices of a group can be left for another round.
+    fn may_leave_some(&self, group: &[u32]) -> bool {
+        self.rules.extent == Extent::NearLabel && self.can_halve(&self.topology.elements_around(group), 2)
+    }
+
+    fn can_halve(&self, elements: &[u32], times: u32) -> bool {
+        elements.iter().all(|e| has_middles(self.lattice, &self.elements.tets[*e as usize], times))
+    }
+
+    fn take(&mut self, filled: Filled, fillings: &mut Fillings) {
+        if let Some(euler) = &mut self.euler {
+            euler.add(&filled.changes);
+        }
+        filled.group.iter().for_each(|v| fillings.group_of[*v as usize] = fillings.labels.len() as u32);
+        fillings.labels.push(filled.label);
+    }
 }
 
 /// Pinched vertices connected through edges.
@@ -247,14 +317,14 @@ fn has_middles(lattice: &RedGreenLattice, tet: &[u32; 4], times: u32) -> bool {
 
 /// The label that fills a group; `None` where each would join components of the image.
 ///
-/// Where the lattice itself does not end in a disc around a vertex, only the background is manifold as a filling. `opened` is how
-/// far a label would open a wall.
+/// Where the lattice itself does not end in a disc around a vertex, only the background is manifold as a filling. `off` is how
+/// far Euler numbers would be out of their ranges with a label, `opened` how far it would open a wall.
 fn label_for(
     topology: &InterfaceTopology,
     group: &[u32],
     labels: &[Label],
     regions: &Regions,
-    euler: Option<&EulerRanges>,
+    off: impl Fn(Label) -> i64,
     opened: impl Fn(Label) -> usize,
 ) -> Option<Label> {
     let around = topology.elements_around(group);
@@ -279,8 +349,6 @@ fn label_for(
     let score = |label: Label| group.iter().map(|v| topology.excess_of(*v, label, labels)).sum::<i64>();
     // The background last: a leak is closed rather than opened.
     let allowed = candidates.into_iter().filter(|l| !joins_too_much(*l));
-    let changes = |label: Label| topology.euler_changes_by_filling(group, label, labels);
-    let off = |label: Label| euler.map_or(0, |e| e.distance_after(&changes(label)));
     allowed.max_by_key(|l| {
         let is_tissue = !l.is_background();
         (Reverse(off(*l)), Reverse(opened(*l)), Reverse(strangers(*l)), is_tissue, score(*l), Reverse(*l))
@@ -408,7 +476,7 @@ mod tests {
         let neighbors = neighbors_of(&tets, 63, &context).unwrap();
         let topology = InterfaceTopology::new(&tets, &neighbors, 63, &context).unwrap();
         let regions = Regions { of_element: labels.iter().map(|l| u32::from(l.0)).collect(), surplus: vec![0; 4] };
-        let chosen = |group: &[u32]| label_for(&topology, group, &labels, &regions, None, |_| 0);
+        let chosen = |group: &[u32]| label_for(&topology, group, &labels, &regions, |_| 0, |_| 0);
         let chain: Vec<u32> = (1..6).map(|i| number(i, 1, 1)).collect();
         assert_eq!(chosen(&chain), Some(Label(2)));
         assert_eq!(chosen(&chain[..1]), Some(Label(1)), "where all labels are near, the first");
@@ -444,7 +512,7 @@ mod tests {
                 };
                 let near = has(1).max(has(2));
                 let pinches = Pinches::new(line.clone(), Vec::new());
-                let rules = FillingRules { regions: &regions, euler: &[], extent };
+                let rules = FillingRules { regions: &regions, euler: &[], brings_nearer: false, extent };
                 let fillings = choose_fillings(&lattice, &elements, &neighbors, &pinches, &rules, context).unwrap();
                 let carved = carve(&mut lattice, &mut elements, &fillings, context).unwrap();
                 let after = neighbors_after(&neighbors, &carved.numbers, &elements.tets, context).unwrap();
@@ -479,7 +547,7 @@ mod tests {
             let counts = [first.breached.len(), first.vertices.len(), lattice.vertices.positions.len()];
             assert!(counts[0] > 0 && counts[1] > counts[0] && counts[2] > counts[1], "{counts:?}");
             let regions = Regions { of_element: vec![0; elements.tets.len()], surplus: vec![9; 3] };
-            let rules = FillingRules { regions: &regions, euler: &[], extent: Extent::NearLabel };
+            let rules = FillingRules { regions: &regions, euler: &[], brings_nearer: false, extent: Extent::NearLabel };
             let fillings = choose_fillings(&lattice, &elements, &neighbors, &first, &rules, context).unwrap();
             let carved = carve(&mut lattice, &mut elements, &fillings, context).unwrap();
             let to_see = first.to_see_after(&lattice, &elements, &carved.numbers);
@@ -496,6 +564,41 @@ mod tests {
             let all = Fillings { group_of: vec![0; lattice.vertices.positions.len()], labels: vec![Label(1)] };
             let carved = carve(&mut lattice, &mut elements, &all, context);
             assert!(matches!(carved, Err(crate::Error::Cancelled)));
+        });
+    }
+
+    #[test]
+    fn euler_numbers_change_by_fillings_as_they_say() {
+        use crate::lattice::test_images::{voxel_image, with_lattice};
+        let noise = |p: DVec3| (p.x * 12.9898 + p.y * 78.233 + p.z * 37.719).sin() * 43758.5453;
+        let image = voxel_image(18, |p| (3.0 * noise(p).rem_euclid(1.0)) as u16);
+        with_lattice(&image, 2.0, |mut lattice, context| {
+            let mut elements = lattice.elements(context).unwrap();
+            let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap();
+            let wanted = [[0; 2]; 3];
+            let vertices = lattice.vertices.positions.len();
+            let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices, context).unwrap();
+            let mut expected = topology.euler_ranges(&elements.labels, &wanted, context).unwrap();
+            // Groups of one to some twenty vertices, pinched or not, away from the outside.
+            let is_chosen = |v: &u32| noise(lattice.frame.local(lattice.vertices.positions[*v as usize])).fract() > 0.8;
+            let inside = (0..vertices as u32).filter(|v| !topology.is_open(*v) && is_chosen(v)).collect::<Vec<_>>();
+            let mut fillings = Fillings { group_of: vec![u32::MAX; vertices], labels: Vec::new() };
+            let groups = groups_of(&topology, &inside, &elements.tets);
+            assert!(groups.len() > 20 && groups.iter().any(|g| g.len() > 5), "{}", groups.len());
+            for (at, group) in groups.into_iter().enumerate() {
+                let around = topology.labels_around(group[0], &elements.labels);
+                let label = around[at % around.len()];
+                expected.add(&changes_by_filling(&topology.fillings_of(&group, &elements.labels), label));
+                group.iter().for_each(|v| fillings.group_of[*v as usize] = at as u32);
+                fillings.labels.push(label);
+            }
+            drop(topology);
+            carve(&mut lattice, &mut elements, &fillings, context).unwrap();
+            let vertices = lattice.vertices.positions.len();
+            let neighbors = neighbors_of(&elements.tets, vertices, context).unwrap();
+            let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices, context).unwrap();
+            let found = topology.euler_ranges(&elements.labels, &wanted, context).unwrap();
+            assert_eq!(format!("{expected:?}"), format!("{found:?}"));
         });
     }
 

@@ -41,7 +41,7 @@ pub struct InterfaceTopology<'a> {
 }
 
 /// Most elements of a ball whose groups are counted in one word of marks.
-const MOST_COUNTED: usize = u128::BITS as usize;
+pub(super) const MOST_COUNTED: usize = u128::BITS as usize;
 
 /// Elements between two looks at whether the run is cancelled while balls are prepared.
 const ELEMENTS_PER_CHECK: usize = 1 << 16;
@@ -53,7 +53,7 @@ const CHUNK: usize = 1024;
 const VERTICES_PER_CHECK: usize = 64;
 
 /// For each element of a ball the three behind its faces at the vertex, by their places in the ball.
-type Links = [[u8; 3]; MOST_COUNTED];
+pub(super) type Links = [[u8; 3]; MOST_COUNTED];
 
 /// The vertices around one whose labels change, with what does not change with every trial.
 struct Vicinity {
@@ -223,7 +223,7 @@ impl<'a> InterfaceTopology<'a> {
     }
 
     /// Whether a vertex is closed and has few enough elements for sets of them to be words.
-    fn has_links(&self, vertex: u32) -> bool {
+    pub(super) fn has_links(&self, vertex: u32) -> bool {
         !self.is_open(vertex) && self.ball(vertex).len() <= MOST_COUNTED
     }
 
@@ -261,7 +261,7 @@ impl<'a> InterfaceTopology<'a> {
     }
 
     /// For each element of the ball of a closed vertex the three behind its faces at the vertex, by their places in the ball.
-    fn links(&self, vertex: u32) -> Links {
+    pub(super) fn links(&self, vertex: u32) -> Links {
         let ball = self.ball(vertex);
         let mut links = [[0; 3]; MOST_COUNTED];
         for (row, element) in links.iter_mut().zip(ball) {
@@ -461,7 +461,7 @@ impl<'a> InterfaceTopology<'a> {
 }
 
 /// Number of connected groups among the marked elements.
-fn group_count(marks: u128, links: &[[u8; 3]; MOST_COUNTED]) -> usize {
+pub(super) fn group_count(marks: u128, links: &[[u8; 3]; MOST_COUNTED]) -> usize {
     let (mut rest, mut count) = (marks, 0);
     while rest != 0 {
         count += 1;
@@ -519,7 +519,7 @@ mod tests {
         let cancelled = |result: Result<()>| matches!(result, Err(crate::Error::Cancelled));
         assert!(cancelled(InterfaceTopology::new(&tets, &neighbors, 7, &context).map(|_| ())));
         assert!(cancelled(topology.pinched(&labels, &context).map(|_| ())));
-        assert!(cancelled(topology.euler_ranges(&labels, &[0, 1], &context).map(|_| ())));
+        assert!(cancelled(topology.euler_ranges(&labels, &[[0; 2], [1; 2]], &context).map(|_| ())));
         assert!(cancelled(topology.repair(&mut labels, None, &context, |_, _, _| Some(0)).map(|_| ())));
     }
 

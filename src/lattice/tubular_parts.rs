@@ -170,7 +170,7 @@ fn may_be_tubular(image: &LabelImage, label: Label, layer: &[usize], voxel_count
     }
     let size = image.grid().size();
     let (mut own, mut low, mut high) = (0u64, size, [0; 3]);
-    for voxel in layer.iter().filter(|v| is_in_solid(image.voxels()[**v], label)) {
+    for voxel in layer.iter().filter(|v| image.voxels()[**v].is_in_solid_of(label)) {
         let at = [voxel % size[0], voxel / size[0] % size[1], voxel / size[0] / size[1]];
         (0..3).for_each(|d| (low[d], high[d]) = (low[d].min(at[d]), high[d].max(at[d] + 1)));
         own += 1;
@@ -182,10 +182,6 @@ fn may_be_tubular(image: &LabelImage, label: Label, layer: &[usize], voxel_count
     let is_long = long > LEAST_SLENDERNESS * (short * middle).sqrt();
     let is_cheap = total <= SMALL || !inner.is_empty();
     own as f64 >= LEAST_SURFACE * total as f64 && (is_cheap || is_sparse || is_long)
-}
-
-fn is_in_solid(voxel: Label, label: Label) -> bool {
-    (voxel == label) != label.is_background()
 }
 
 impl Part {
@@ -204,7 +200,7 @@ impl Part {
         let boundary = BoundaryVoxels {
             index: VoxelIndex::new(&voxels),
             voxels,
-            is_inside: band.iter().map(|v| is_in_solid(at(v), label)).collect(),
+            is_inside: band.iter().map(|v| at(v).is_in_solid_of(label)).collect(),
             spacing: image.grid().spacing(),
         };
         let fitted = JoinedTubes { tubes: centerlines(&solid, context)?, joints: Vec::new() };
@@ -312,7 +308,7 @@ fn solid_of(image: &LabelImage, label: Label, band: &[[u32; 3]]) -> Solid {
     }
     let is_inside = |at: [i32; 3]| {
         let [i, j, k]: [usize; 3] = std::array::from_fn(|d| at[d].clamp(0, size[d] - 1) as usize);
-        is_in_solid(image.at(i, j, k), label)
+        image.at(i, j, k).is_in_solid_of(label)
     };
     let mut voxels = Vec::new();
     for k in low[2]..=high[2] {
