@@ -286,7 +286,7 @@ impl Rounds<'_> {
                         (found, _) = self.relabel_pinches(lattice, &mut elements, &neighbors, found, &deficit)?;
                         // No leaf is marked any more: the last use of the neighbours.
                         let neighbors = std::mem::take(&mut neighbors);
-                        (_, found) = self.carve_pinches(lattice, &mut elements, neighbors, found)?;
+                        (_, found) = self.carve_pinches(lattice, &mut elements, neighbors, found, None)?;
                     }
                     deficit = self.deficit(&found);
                 }
@@ -500,11 +500,12 @@ impl Rounds<'_> {
                 marked[leaf] |= u32::from(lattice.levels[leaf]) < limit.finest;
             };
             topology.elements_around(&pinched).into_iter().for_each(&mut mark);
-            let euler = match euler {
+            let known = match euler {
                 Some(known) => known,
                 None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
             };
-            elements_at_differences(lattice, elements, &neighbors, &euler, context)?.into_iter().for_each(&mut mark);
+            elements_at_differences(lattice, elements, &neighbors, &known, context)?.into_iter().for_each(&mut mark);
+            euler = Some(known);
             let regions = joinable_regions(elements, &regions, surplus);
             elements_at_gaps(lattice, elements, &neighbors, &regions, context)?.into_iter().for_each(&mut mark);
         }
@@ -513,7 +514,7 @@ impl Rounds<'_> {
             lattice.close_locally();
             return Ok((marked, found));
         }
-        let (neighbors, found) = self.carve_pinches(lattice, elements, neighbors, found)?;
+        let (neighbors, found) = self.carve_pinches(lattice, elements, neighbors, found, euler)?;
         let after = self.fill_unseen(lattice, elements, &neighbors, &found)?;
         Ok((marked, after.unwrap_or(found)))
     }
@@ -542,20 +543,24 @@ impl Rounds<'_> {
         Ok(surplus)
     }
 
-    /// Carves what still pinches; returns neighbours and mismatches afterwards.
+    /// Carves what still pinches, with the Euler numbers if they are known; returns neighbours and mismatches afterwards.
     fn carve_pinches(
         &mut self,
         lattice: &mut RedGreenLattice,
         elements: &mut Elements,
         mut neighbors: Vec<[u32; 4]>,
         mut found: Vec<Mismatch>,
+        euler: Option<EulerRanges>,
     ) -> Result<(Vec<[u32; 4]>, Vec<Mismatch>)> {
+        let mut euler = euler.map(EulerRanges::where_image_has_one);
         // In the first round all vertices.
         let mut to_see: Option<Vec<bool>> = None;
         for round in 1..=CARVING_ROUNDS {
             let context = self.context;
             let is_candidate = |v: u32| to_see.as_ref().is_none_or(|to_see| to_see[v as usize]);
-            let pinches = Pinches::among(lattice, elements, &neighbors, is_candidate, context)?;
+            let vertices = lattice.vertices.positions.len();
+            let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices, context)?;
+            let pinches = Pinches::among(lattice, &elements.labels, &topology, is_candidate, context)?;
             if pinches.vertices.is_empty() {
                 break;
             }
@@ -569,8 +574,13 @@ impl Rounds<'_> {
             let extent = if round < CARVING_ROUNDS { Extent::NearLabel } else { Extent::Whole };
             // What is checked is to have the image's numbers; nowhere else is a tunnel made for them.
             let brings_nearer = self.input.region_threshold.is_some();
-            let rules = FillingRules { regions: &joinable, euler: &self.euler, brings_nearer, extent };
-            let fillings = choose_fillings(lattice, elements, &neighbors, &pinches, &rules, context)?;
+            let known = match euler.take() {
+                Some(known) => known,
+                None => topology.euler_ranges(&elements.labels, &self.euler, context)?.where_image_has_one(),
+            };
+            let rules = FillingRules { regions: &joinable, euler: Some(euler.insert(known)), brings_nearer, extent };
+            let fillings = choose_fillings(lattice, &elements.labels, &topology, &pinches, rules, context)?;
+            drop(topology);
             let Carved { vertices, numbers } = carve(lattice, elements, &fillings, context)?;
             self.report.add("topology.carved_vertices", vertices as f64);
             if vertices == 0 {

@@ -5,8 +5,8 @@
 //!    itself, as an open one it has not. What makes the surface manifold chooses, pinch by pinch.
 //! 2. Both are sums over the vertices on surfaces: half of each edge there, a third of each face, a quarter of each element, in
 //!    twelfths. A vertex inside of a label adds nothing. So a change of labels is counted at its own vertices only.
-//! 3. A choice is good as long as the image's number stays between the two. Where voxels of a label touch only along an edge or at a
-//!    corner the image has two numbers itself, most often; the contacts are resolved one by one then, and no number says how.
+//! 3. A choice is good as long as one between the image's own stays between the two. Where voxels of a label touch only along an edge
+//!    or at a corner the image has two numbers itself, most often.
 //! 4. Where a neighbourhood of vertices and of what they span takes a label ([`super::interface_carving`]), that label is joined with a
 //!    body that shrinks to what they span, and the others lose it: Euler numbers of unions and of what they share give the changes.
 //! 5. All labels together are a body too, whose surface is that of the background: it is counted as that.
@@ -26,6 +26,7 @@ use rayon::prelude::*;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::Label;
+use crate::lattice::face_adjacency::OUTSIDE;
 use crate::lattice::interface_topology::{InterfaceTopology, Links, MOST_COUNTED, group_count};
 use crate::mesh::numbering::TET_FACES;
 
@@ -40,18 +41,26 @@ const CHUNK: usize = 4096;
 pub type EulerNumbers = [i64; 2];
 
 /// Euler numbers of the labels of a mesh, and those of the image; those of the background are of all labels together.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EulerRanges {
     now: Vec<EulerNumbers>,
-    /// That of the image, where it has but one.
-    wanted: Vec<Option<i64>>,
+    /// The least and the largest of the image, or none where any is as good.
+    wanted: Vec<Option<[i64; 2]>>,
 }
 
 impl EulerRanges {
+    /// The same, with any number as good as another for a label of which the image has two: where it touches itself contacts are
+    /// resolved one by one, and no sum says how.
+    pub fn where_image_has_one(mut self) -> Self {
+        self.wanted.iter_mut().for_each(|wanted| *wanted = wanted.filter(|[least, largest]| least == largest));
+        self
+    }
+
     /// How far a label would be from what is wanted, in twelfths.
     fn distance(&self, label: Label, change: EulerNumbers) -> i64 {
+        let Some([least, largest]) = self.wanted[label.index()] else { return 0 };
         let [closed, open] = [0, 1].map(|reading| self.now[label.index()][reading] + change[reading]);
-        self.wanted[label.index()].map_or(0, |wanted| (closed.min(open) - wanted).max(wanted - closed.max(open)).max(0))
+        (closed.min(open) - largest).max(least - closed.max(open)).max(0)
     }
 
     /// How much farther from what is wanted some labels would be after changes.
@@ -70,15 +79,19 @@ impl EulerRanges {
     /// The labels that have, or may have once nothing pinches, another Euler number than is wanted.
     pub fn differing(&self) -> Vec<Label> {
         let differs = |label: &Label| {
-            self.wanted[label.index()].is_some_and(|wanted| self.now[label.index()].iter().any(|n| *n != wanted))
+            let is_out =
+                |[least, largest]: [i64; 2]| self.now[label.index()].iter().any(|n| *n < least || *n > largest);
+            self.wanted[label.index()].is_some_and(is_out)
         };
         (1..self.now.len() as u16).map(Label).filter(differs).collect()
     }
 
-    /// Euler numbers in the mesh and in the image of a label that has another one than is wanted, whatever becomes of its pinches.
+    /// Euler numbers in the mesh and in the image, the nearest there, of a label that has another one than is wanted, whatever
+    /// becomes of its pinches.
     pub fn out_of_reach(&self, label: Label) -> Option<[i64; 2]> {
-        let wanted = self.wanted[label.index()].filter(|_| self.distance(label, [0; 2]) > 0)?;
-        Some([self.now[label.index()][0], wanted].map(|n| n / TWELFTHS))
+        let [least, largest] = self.wanted[label.index()].filter(|_| self.distance(label, [0; 2]) > 0)?;
+        let now = self.now[label.index()][0];
+        Some([now, now.clamp(least, largest)].map(|n| n / TWELFTHS))
     }
 }
 
@@ -121,7 +134,7 @@ impl InterfaceTopology<'_> {
         // Whole numbers: the sums do not depend on the order.
         let now = mixed.fold(none, of_vertex).reduce(none, add);
         context.check()?;
-        let of_label = |[closed, open]: &[i64; 2]| (closed == open).then_some(TWELFTHS * closed);
+        let of_label = |[one, other]: &[i64; 2]| Some([one.min(other), one.max(other)].map(|n| TWELFTHS * n));
         Ok(EulerRanges { now, wanted: wanted.iter().map(of_label).collect() })
     }
 
@@ -189,9 +202,6 @@ impl InterfaceTopology<'_> {
         let mut around: Vec<Label> = group.iter().flat_map(|v| self.labels_around(*v, labels)).collect();
         around.sort_unstable();
         around.dedup();
-        if group.iter().any(|v| self.is_open(*v)) {
-            return around.into_iter().map(|of| self.filling_at_open(group, of, labels)).collect();
-        }
         let mut fillings: Vec<Filling> =
             around.into_iter().map(|label| Filling { label, joined: [0; 2], taken: [0; 2] }).collect();
         for v in group {
@@ -199,9 +209,16 @@ impl InterfaceTopology<'_> {
                 let corners = simplex[0].0.iter().filter(|v| **v != u32::MAX);
                 let is_within = corners.clone().all(|v| group.binary_search(v).is_ok());
                 let sign = if corners.count() % 2 == 1 { TWELFTHS } else { -TWELFTHS };
+                let is_outside = simplex[0].1.is_none();
                 for filling in &mut fillings {
                     for (side, is_body) in [true, false].into_iter().enumerate() {
-                        let is_on_side = simplex.iter().any(|(_, own)| own.is_in_solid_of(filling.label) == is_body);
+                        // At the outside of the lattice the rest goes on, whatever is filled.
+                        if is_outside && !is_body {
+                            continue;
+                        }
+                        let is_on_side = simplex
+                            .iter()
+                            .any(|(_, own)| own.is_some_and(|own| own.is_in_solid_of(filling.label) == is_body));
                         // What the neighbourhood joins gets what its vertices span and did not have; what it is taken from loses that,
                         // but for the rim, where what is cut has one dimension less.
                         let joins = if is_within && !is_on_side { sign } else { 0 };
@@ -216,24 +233,22 @@ impl InterfaceTopology<'_> {
         fillings
     }
 
-    /// What to expect where the rest is not all of the lattice: a neighbourhood is a closed body for what it joins, and the others are
-    /// open ones.
-    fn filling_at_open(&self, group: &[u32], label: Label, labels: &[Label]) -> Filling {
-        let gap: i64 = group.iter().map(|v| self.euler_at_if_mixed(*v, label, labels)).map(|[c, o]| c - o).sum();
-        Filling { label, joined: [0, gap], taken: [-gap, 0] }
-    }
-
-    /// The simplices whose first vertex of a group is a given one, in order, each with the labels of the elements that have it; unused
-    /// corners are last.
-    fn simplices_from(&self, vertex: u32, group: &[u32], labels: &[Label]) -> Vec<([u32; 4], Label)> {
+    /// The simplices whose first vertex of a group is a given one, in order, each with the labels of the elements that have it, after
+    /// `None` where it is at the outside of the lattice; unused corners are last.
+    fn simplices_from(&self, vertex: u32, group: &[u32], labels: &[Label]) -> Vec<([u32; 4], Option<Label>)> {
         let mut simplices = Vec::new();
         for element in self.ball(vertex) {
             let tet = self.tets[*element as usize];
+            let outside = (0..4).filter(|face| self.neighbors[*element as usize][*face] == OUTSIDE);
+            let open_faces: Vec<u32> = outside.map(|face| TET_FACES[face].iter().map(|v| 1 << v).sum()).collect();
             for set in 1..16 {
                 let mut corners: [u32; 4] = std::array::from_fn(|i| if set >> i & 1 == 1 { tet[i] } else { u32::MAX });
                 corners.sort_unstable();
                 if corners.iter().find(|v| group.binary_search(v).is_ok()) == Some(&vertex) {
-                    simplices.push((corners, labels[*element as usize]));
+                    simplices.push((corners, Some(labels[*element as usize])));
+                    if open_faces.iter().any(|face| set & !face == 0) {
+                        simplices.push((corners, None));
+                    }
                 }
             }
         }

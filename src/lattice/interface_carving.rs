@@ -74,12 +74,11 @@ pub enum Extent {
 }
 
 /// What fillings have to keep to.
-#[derive(Clone, Copy)]
 pub struct FillingRules<'a> {
     /// The pieces of labels, some of which may be joined.
     pub regions: &'a Regions,
-    /// The Euler numbers of the image, in both readings, that labels are to have, or none.
-    pub euler: &'a [[i64; 2]],
+    /// The Euler numbers, where they are to be kept; they follow what is chosen.
+    pub euler: Option<&'a mut EulerRanges>,
     /// Whether one that is off is brought nearer by what is filled: that hides a tunnel in one place by another elsewhere.
     pub brings_nearer: bool,
     /// How much of a group is filled.
@@ -117,15 +116,14 @@ impl Pinches {
     /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
     pub fn among(
         lattice: &RedGreenLattice,
-        elements: &Elements,
-        neighbors: &[[u32; 4]],
+        labels: &[Label],
+        topology: &InterfaceTopology,
         is_candidate: impl Fn(u32) -> bool + Sync,
         context: &RunContext,
     ) -> Result<Self> {
-        let topology = InterfaceTopology::new(&elements.tets, neighbors, lattice.vertices.positions.len(), context)?;
-        let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
-        let breached = contacts.breached(&elements.labels, &topology, &is_candidate, context)?;
-        Ok(Self::new(topology.pinched_among(&elements.labels, &is_candidate, context)?, breached))
+        let contacts = ImageContacts::new(lattice, topology.tets, topology.neighbors);
+        let breached = contacts.breached(labels, topology, &is_candidate, context)?;
+        Ok(Self::new(topology.pinched_among(labels, &is_candidate, context)?, breached))
     }
 
     /// For each vertex whether it may have to be carved after a carving of these: what had to be before, and the vertices of the
@@ -140,15 +138,13 @@ impl Pinches {
 
 /// What the surroundings of pinched vertices are filled with.
 pub struct Fillings {
-    /// The group of each vertex, or `u32::MAX`.
-    group_of: Vec<u32>,
-    /// The label that fills each group.
-    labels: Vec<Label>,
+    /// The label that fills the neighbourhood of each vertex, the same at those connected through edges; none where it stays.
+    label_of: Vec<Option<Label>>,
 }
 
 impl Fillings {
     fn has(&self, vertex: u32) -> bool {
-        self.group_of[vertex as usize] != u32::MAX
+        self.label_of[vertex as usize].is_some()
     }
 }
 
@@ -162,9 +158,8 @@ pub fn carve(
     fillings: &Fillings,
     context: &RunContext,
 ) -> Result<Carved> {
-    let Fillings { group_of, labels } = fillings;
-    let treated = group_of.iter().filter(|g| **g != u32::MAX).count();
-    let numbers = if treated > 0 { cut(lattice, elements, group_of, labels, context)? } else { Vec::new() };
+    let treated = fillings.label_of.iter().flatten().count();
+    let numbers = if treated > 0 { cut(lattice, elements, fillings, context)? } else { Vec::new() };
     Ok(Carved { vertices: treated, numbers })
 }
 
@@ -174,31 +169,25 @@ pub fn carve(
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn choose_fillings(
     lattice: &RedGreenLattice,
-    elements: &Elements,
-    neighbors: &[[u32; 4]],
+    labels: &[Label],
+    topology: &InterfaceTopology,
     pinches: &Pinches,
-    rules: &FillingRules,
+    rules: FillingRules,
     context: &RunContext,
 ) -> Result<Fillings> {
-    let vertices = lattice.vertices.positions.len();
-    let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices, context)?;
-    let euler = match rules.euler {
-        [] => None,
-        wanted => Some(topology.euler_ranges(&elements.labels, wanted, context)?),
-    };
-    let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
-    let mut choice = Choice { lattice, elements, topology, contacts, pinches, rules, euler };
-    let mut fillings = Fillings { group_of: vec![u32::MAX; vertices], labels: Vec::new() };
-    for (at, group) in groups_of(&choice.topology, &pinches.vertices, &elements.tets).into_iter().enumerate() {
+    let contacts = ImageContacts::new(lattice, topology.tets, topology.neighbors);
+    let mut choice = Choice { lattice, labels, topology, contacts, pinches, rules };
+    let mut fillings = Fillings { label_of: vec![None; topology.vertex_count()] };
+    for (at, group) in groups_of(topology, &pinches.vertices).into_iter().enumerate() {
         context.check_every(GROUPS_PER_CHECK, at)?;
         let Some(filled) = choice.filled(&group) else { continue };
-        if filled.off <= 0 || !choice.may_leave_some(&group) {
+        if filled.off <= 0 || !choice.may_leave_some(&topology.elements_around(&group)) {
             choice.take(filled, &mut fillings);
             continue;
         }
         // What a chain of vertices spans may join what lies apart: one by one, those beside a filled one in another round.
         for v in &group {
-            if choice.topology.vertices_of(choice.topology.ball(*v)).iter().any(|near| fillings.has(*near)) {
+            if topology.vertices_of(topology.ball(*v)).iter().any(|near| fillings.has(*near)) {
                 continue;
             }
             if let Some(filled) = choice.filled(&[*v]).filter(|filled| filled.off <= 0) {
@@ -221,20 +210,17 @@ struct Filled {
 /// What fillings are chosen by.
 struct Choice<'a> {
     lattice: &'a RedGreenLattice<'a>,
-    elements: &'a Elements,
-    topology: InterfaceTopology<'a>,
+    labels: &'a [Label],
+    topology: &'a InterfaceTopology<'a>,
     contacts: ImageContacts<'a>,
     pinches: &'a Pinches,
-    rules: &'a FillingRules<'a>,
-    /// The Euler numbers with what has been chosen, where they are to be kept.
-    euler: Option<EulerRanges>,
+    rules: FillingRules<'a>,
 }
 
 impl Choice<'_> {
     /// What a group of pinched vertices is to be filled with, all of it or those that have the label; `None` where it stays.
     fn filled(&self, group: &[u32]) -> Option<Filled> {
-        let Self { elements, topology, contacts, pinches, .. } = self;
-        let labels = &elements.labels;
+        let Self { labels, topology, contacts, pinches, rules, .. } = self;
         let around = topology.elements_around(group);
         if !self.can_halve(&around, 1) {
             return None;
@@ -244,42 +230,44 @@ impl Choice<'_> {
             let count = || around.iter().filter(|e| contacts.keeps_apart(**e, labels, label)).count();
             if is_breached { count() } else { 0 }
         };
-        let numbers =
-            |group: &[u32]| self.euler.as_ref().map(|_| topology.fillings_of(group, labels)).unwrap_or_default();
-        let of_group = numbers(group);
-        let least = if self.rules.brings_nearer { i64::MIN } else { 0 };
-        let off = |changes: &[_]| self.euler.as_ref().map_or(0, |euler| euler.distance_after(changes).max(least));
+        let fillings_of =
+            |group: &[u32]| rules.euler.as_ref().map(|_| topology.fillings_of(group, labels)).unwrap_or_default();
+        let of_group = fillings_of(group);
+        let least = if rules.brings_nearer { i64::MIN } else { 0 };
+        let off = |changes: &[_]| rules.euler.as_ref().map_or(0, |euler| euler.distance_after(changes).max(least));
         let off_with = |label: Label| off(&changes_by_filling(&of_group, label));
-        let label = label_for(topology, group, labels, self.rules.regions, off_with, opened)?;
+        let label = label_for(topology, group, &around, labels, rules.regions, off_with, opened)?;
         let with_label: Vec<u32> = group.iter().copied().filter(|v| topology.has_label(*v, label, labels)).collect();
-        if self.may_leave_some(group) && !with_label.is_empty() && with_label.len() < group.len() {
-            let changes = changes_by_filling(&numbers(&with_label), label);
-            return Some(Filled { group: with_label, label, off: off(&changes), changes });
-        }
-        let changes = changes_by_filling(&of_group, label);
-        Some(Filled { group: group.to_vec(), label, off: off(&changes), changes })
+        let has_some = !with_label.is_empty() && with_label.len() < group.len();
+        let (group, changes) = match has_some && self.may_leave_some(&around) {
+            true => {
+                let changes = changes_by_filling(&fillings_of(&with_label), label);
+                (with_label, changes)
+            }
+            false => (group.to_vec(), changes_by_filling(&of_group, label)),
+        };
+        Some(Filled { group, label, off: off(&changes), changes })
     }
 
-    /// Whether some vertices of a group can be left for another round.
-    fn may_leave_some(&self, group: &[u32]) -> bool {
-        self.rules.extent == Extent::NearLabel && self.can_halve(&self.topology.elements_around(group), 2)
+    /// Whether some vertices of a group with elements `around` can be left for another round.
+    fn may_leave_some(&self, around: &[u32]) -> bool {
+        self.rules.extent == Extent::NearLabel && self.can_halve(around, 2)
     }
 
     fn can_halve(&self, elements: &[u32], times: u32) -> bool {
-        elements.iter().all(|e| has_middles(self.lattice, &self.elements.tets[*e as usize], times))
+        elements.iter().all(|e| has_middles(self.lattice, &self.topology.tets[*e as usize], times))
     }
 
     fn take(&mut self, filled: Filled, fillings: &mut Fillings) {
-        if let Some(euler) = &mut self.euler {
+        if let Some(euler) = &mut self.rules.euler {
             euler.add(&filled.changes);
         }
-        filled.group.iter().for_each(|v| fillings.group_of[*v as usize] = fillings.labels.len() as u32);
-        fillings.labels.push(filled.label);
+        filled.group.iter().for_each(|v| fillings.label_of[*v as usize] = Some(filled.label));
     }
 }
 
 /// Pinched vertices connected through edges.
-fn groups_of(topology: &InterfaceTopology, pinched: &[u32], tets: &[[u32; 4]]) -> Vec<Vec<u32>> {
+fn groups_of(topology: &InterfaceTopology, pinched: &[u32]) -> Vec<Vec<u32>> {
     let mut seen = vec![false; pinched.len()];
     let mut groups = Vec::new();
     for start in 0..pinched.len() {
@@ -290,14 +278,12 @@ fn groups_of(topology: &InterfaceTopology, pinched: &[u32], tets: &[[u32; 4]]) -
         let mut group = vec![pinched[start]];
         let mut next = 0;
         while next < group.len() {
-            for e in topology.elements_around(&[group[next]]) {
-                for v in tets[e as usize] {
-                    if let Ok(at) = pinched.binary_search(&v)
-                        && !seen[at]
-                    {
-                        seen[at] = true;
-                        group.push(v);
-                    }
+            for v in topology.vertices_of(topology.ball(group[next])) {
+                if let Ok(at) = pinched.binary_search(&v)
+                    && !seen[at]
+                {
+                    seen[at] = true;
+                    group.push(v);
                 }
             }
             next += 1;
@@ -315,19 +301,19 @@ fn has_middles(lattice: &RedGreenLattice, tet: &[u32; 4], times: u32) -> bool {
     positions.iter().all(|p| ((*p - positions[0]) & rest) == IVec3::ZERO)
 }
 
-/// The label that fills a group; `None` where each would join components of the image.
+/// The label that fills a group with elements `around`; `None` where each would join components of the image.
 ///
 /// Where the lattice itself does not end in a disc around a vertex, only the background is manifold as a filling. `off` is how
 /// far Euler numbers would be out of their ranges with a label, `opened` how far it would open a wall.
 fn label_for(
     topology: &InterfaceTopology,
     group: &[u32],
+    around: &[u32],
     labels: &[Label],
     regions: &Regions,
     off: impl Fn(Label) -> i64,
     opened: impl Fn(Label) -> usize,
 ) -> Option<Label> {
-    let around = topology.elements_around(group);
     let mut candidates: Vec<Label> = around.iter().map(|e| labels[*e as usize]).collect();
     if group.iter().any(|v| topology.is_open(*v)) {
         candidates.push(Label::BACKGROUND);
@@ -355,17 +341,16 @@ fn label_for(
     })
 }
 
-/// Cuts every element with vertices in groups; the number before of each element, or [`CHANGED`].
+/// Cuts every element with vertices that are filled; the number before of each element, or [`CHANGED`].
 fn cut(
     lattice: &mut RedGreenLattice,
     elements: &mut Elements,
-    group_of: &[u32],
-    labels: &[Label],
+    fillings: &Fillings,
     context: &RunContext,
 ) -> Result<Vec<u32>> {
     let old = std::mem::take(elements);
     // What a tet with one, two, three of its vertices in a group becomes.
-    let pieces = |tet: &[u32; 4]| match tet.iter().filter(|v| group_of[**v as usize] != u32::MAX).count() {
+    let pieces = |tet: &[u32; 4]| match tet.iter().filter(|v| fillings.has(**v)).count() {
         1 | 3 => 4,
         2 => 6,
         _ => 1,
@@ -378,21 +363,20 @@ fn cut(
     for (number, ((tet, own), leaf)) in (0u32..).zip(old.tets.iter().zip(&old.labels).zip(&old.leaves)) {
         context.check_every(ELEMENTS_PER_CHECK, number as usize)?;
         numbers.resize(elements.tets.len(), CHANGED);
-        let group = tet.iter().map(|v| group_of[*v as usize]).find(|g| *g != u32::MAX);
+        let filled = tet.iter().find_map(|v| fillings.label_of[*v as usize]);
         let mut push = |lattice: &RedGreenLattice, tet: [u32; 4], label: Label| {
             elements.tets.push(oriented(lattice, tet));
             elements.labels.push(label);
             elements.leaves.push(*leaf);
         };
-        let Some(group) = group else {
+        let Some(filled) = filled else {
             numbers.push(number);
             elements.tets.push(*tet);
             elements.labels.push(*own);
             elements.leaves.push(*leaf);
             continue;
         };
-        let filled = labels[group as usize];
-        let (inner, outer): (Vec<u32>, Vec<u32>) = tet.iter().partition(|v| group_of[**v as usize] != u32::MAX);
+        let (inner, outer): (Vec<u32>, Vec<u32>) = tet.iter().partition(|v| fillings.has(**v));
         let mut middle = |i: usize, o: usize| {
             let ends = [inner[i], outer[o]];
             let position = ends.map(|v| lattice.vertices.positions[v as usize]);
@@ -455,6 +439,20 @@ mod tests {
     use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
     use glam::DVec3;
 
+    fn topology_of<'a>(
+        lattice: &RedGreenLattice,
+        elements: &'a Elements,
+        neighbors: &'a [[u32; 4]],
+        context: &RunContext,
+    ) -> InterfaceTopology<'a> {
+        InterfaceTopology::new(&elements.tets, neighbors, lattice.vertices.positions.len(), context).unwrap()
+    }
+
+    /// Numbers with no order to be seen, of points.
+    fn noise(p: DVec3) -> f64 {
+        ((p.x * 12.9898 + p.y * 78.233 + p.z * 37.719).sin() * 43758.5453).rem_euclid(1.0)
+    }
+
     #[test]
     fn a_chain_gets_a_label_that_is_near_all_of_it() {
         // A bar of 6 x 2 x 2 cubes of six tets each; the chain runs through its middle. Label 1 is at one end only.
@@ -476,7 +474,9 @@ mod tests {
         let neighbors = neighbors_of(&tets, 63, &context).unwrap();
         let topology = InterfaceTopology::new(&tets, &neighbors, 63, &context).unwrap();
         let regions = Regions { of_element: labels.iter().map(|l| u32::from(l.0)).collect(), surplus: vec![0; 4] };
-        let chosen = |group: &[u32]| label_for(&topology, group, &labels, &regions, |_| 0, |_| 0);
+        let chosen = |group: &[u32]| {
+            label_for(&topology, group, &topology.elements_around(group), &labels, &regions, |_| 0, |_| 0)
+        };
         let chain: Vec<u32> = (1..6).map(|i| number(i, 1, 1)).collect();
         assert_eq!(chosen(&chain), Some(Label(2)));
         assert_eq!(chosen(&chain[..1]), Some(Label(1)), "where all labels are near, the first");
@@ -491,7 +491,7 @@ mod tests {
                 let mut elements = lattice.elements(context).unwrap();
                 let vertices = lattice.vertices.positions.len();
                 let neighbors = neighbors_of(&elements.tets, vertices, context).unwrap();
-                let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices, context).unwrap();
+                let topology = topology_of(&lattice, &elements, &neighbors, context);
                 // A line of vertices through both labels; nothing pinches there, which carving does not ask for.
                 let place = |v: u32| lattice.frame.local(lattice.vertices.positions[v as usize]);
                 let inner: Vec<u32> =
@@ -512,8 +512,10 @@ mod tests {
                 };
                 let near = has(1).max(has(2));
                 let pinches = Pinches::new(line.clone(), Vec::new());
-                let rules = FillingRules { regions: &regions, euler: &[], brings_nearer: false, extent };
-                let fillings = choose_fillings(&lattice, &elements, &neighbors, &pinches, &rules, context).unwrap();
+                let rules = FillingRules { regions: &regions, euler: None, brings_nearer: false, extent };
+                let fillings =
+                    choose_fillings(&lattice, &elements.labels, &topology, &pinches, rules, context).unwrap();
+                drop(topology);
                 let carved = carve(&mut lattice, &mut elements, &fillings, context).unwrap();
                 let after = neighbors_after(&neighbors, &carved.numbers, &elements.tets, context).unwrap();
                 assert_eq!(after, neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap());
@@ -532,10 +534,9 @@ mod tests {
     fn what_is_to_be_carved_next_is_where_carving_was() {
         use crate::lattice::test_images::{voxel_image, with_lattice};
         // Scattered voxels on one side, an oblique wall of one voxel on the other.
-        let noise = |p: DVec3| (p.x * 12.9898 + p.y * 78.233 + p.z * 37.719).sin() * 43758.5453;
         let across = |p: DVec3| p.dot(DVec3::new(0.8, 0.0, 0.6)) - 12.0;
         let wall = |p: DVec3| if across(p) < 0.0 { 1 } else { 2 * u16::from(across(p) < 1.0) };
-        let image = voxel_image(20, |p| if p.y < 10.0 { wall(p) } else { (3.0 * noise(p).rem_euclid(1.0)) as u16 });
+        let image = voxel_image(20, |p| if p.y < 10.0 { wall(p) } else { (3.0 * noise(p)) as u16 });
         with_lattice(&image, 2.0, |mut lattice, context| {
             let mut elements = lattice.elements(context).unwrap();
             // A hole in the wall.
@@ -543,25 +544,32 @@ mod tests {
             let tets = elements.labels.iter_mut().zip(&elements.tets);
             tets.filter(|(label, tet)| label.0 == 2 && is_at_hole(tet)).for_each(|(label, _)| *label = Label(1));
             let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap();
-            let first = Pinches::among(&lattice, &elements, &neighbors, |_| true, context).unwrap();
+            let topology = topology_of(&lattice, &elements, &neighbors, context);
+            let first = Pinches::among(&lattice, &elements.labels, &topology, |_| true, context).unwrap();
             let counts = [first.breached.len(), first.vertices.len(), lattice.vertices.positions.len()];
             assert!(counts[0] > 0 && counts[1] > counts[0] && counts[2] > counts[1], "{counts:?}");
             let regions = Regions { of_element: vec![0; elements.tets.len()], surplus: vec![9; 3] };
-            let rules = FillingRules { regions: &regions, euler: &[], brings_nearer: false, extent: Extent::NearLabel };
-            let fillings = choose_fillings(&lattice, &elements, &neighbors, &first, &rules, context).unwrap();
+            let rules =
+                || FillingRules { regions: &regions, euler: None, brings_nearer: false, extent: Extent::NearLabel };
+            let fillings = choose_fillings(&lattice, &elements.labels, &topology, &first, rules(), context).unwrap();
+            drop(topology);
             let carved = carve(&mut lattice, &mut elements, &fillings, context).unwrap();
             let to_see = first.to_see_after(&lattice, &elements, &carved.numbers);
             let neighbors = neighbors_after(&neighbors, &carved.numbers, &elements.tets, context).unwrap();
-            let all = Pinches::among(&lattice, &elements, &neighbors, |_| true, context).unwrap();
-            let near = Pinches::among(&lattice, &elements, &neighbors, |v| to_see[v as usize], context).unwrap();
+            let topology = topology_of(&lattice, &elements, &neighbors, context);
+            let among = |is_candidate: &(dyn Fn(u32) -> bool + Sync)| {
+                Pinches::among(&lattice, &elements.labels, &topology, is_candidate, context)
+            };
+            let all = among(&|_| true).unwrap();
+            let near = among(&|v| to_see[v as usize]).unwrap();
             assert!(carved.vertices > 0 && to_see.contains(&false) && !all.vertices.is_empty());
             assert_eq!((near.vertices, near.breached), (all.vertices, all.breached));
             context.cancel_token().cancel();
-            let found = Pinches::among(&lattice, &elements, &neighbors, |_| true, context);
-            assert!(matches!(found, Err(crate::Error::Cancelled)));
-            let chosen = choose_fillings(&lattice, &elements, &neighbors, &first, &rules, context);
+            assert!(matches!(among(&|_| true), Err(crate::Error::Cancelled)));
+            let chosen = choose_fillings(&lattice, &elements.labels, &topology, &first, rules(), context);
             assert!(matches!(chosen, Err(crate::Error::Cancelled)));
-            let all = Fillings { group_of: vec![0; lattice.vertices.positions.len()], labels: vec![Label(1)] };
+            drop(topology);
+            let all = Fillings { label_of: vec![Some(Label(1)); lattice.vertices.positions.len()] };
             let carved = carve(&mut lattice, &mut elements, &all, context);
             assert!(matches!(carved, Err(crate::Error::Cancelled)));
         });
@@ -570,35 +578,44 @@ mod tests {
     #[test]
     fn euler_numbers_change_by_fillings_as_they_say() {
         use crate::lattice::test_images::{voxel_image, with_lattice};
-        let noise = |p: DVec3| (p.x * 12.9898 + p.y * 78.233 + p.z * 37.719).sin() * 43758.5453;
-        let image = voxel_image(18, |p| (3.0 * noise(p).rem_euclid(1.0)) as u16);
+        let image = voxel_image(26, |p| u16::from(noise(p) > 0.5));
         with_lattice(&image, 2.0, |mut lattice, context| {
             let mut elements = lattice.elements(context).unwrap();
+            // Labels up to the outside of the lattice, some of single elements.
+            let label_at = |tet: &[u32; 4]| Label((3.0 * noise((lattice.centroid(tet) / 1.5).floor())) as u16);
+            elements.labels = elements.tets.iter().map(label_at).collect();
             let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap();
             let wanted = [[0; 2]; 3];
             let vertices = lattice.vertices.positions.len();
-            let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices, context).unwrap();
+            let topology = topology_of(&lattice, &elements, &neighbors, context);
             let mut expected = topology.euler_ranges(&elements.labels, &wanted, context).unwrap();
-            // Groups of one to some twenty vertices, pinched or not, away from the outside.
-            let is_chosen = |v: &u32| noise(lattice.frame.local(lattice.vertices.positions[*v as usize])).fract() > 0.8;
-            let inside = (0..vertices as u32).filter(|v| !topology.is_open(*v) && is_chosen(v)).collect::<Vec<_>>();
-            let mut fillings = Fillings { group_of: vec![u32::MAX; vertices], labels: Vec::new() };
-            let groups = groups_of(&topology, &inside, &elements.tets);
-            assert!(groups.len() > 20 && groups.iter().any(|g| g.len() > 5), "{}", groups.len());
-            for (at, group) in groups.into_iter().enumerate() {
+            // Groups of one to some twenty vertices, pinched or not, inside and at the outside of the lattice.
+            let is_chosen = |v: &u32| noise(lattice.frame.local(lattice.vertices.positions[*v as usize])) > 0.8;
+            let chosen = (0..vertices as u32).filter(is_chosen).collect::<Vec<_>>();
+            let mut fillings = Fillings { label_of: vec![None; vertices] };
+            let groups = groups_of(&topology, &chosen);
+            let are_open = |group: &Vec<u32>| group.iter().filter(|v| topology.is_open(**v)).count();
+            let open: Vec<usize> = groups.iter().map(are_open).collect();
+            let count =
+                |passes: &dyn Fn((&Vec<u32>, &usize)) -> bool| groups.iter().zip(&open).filter(|g| passes(*g)).count();
+            let counts = [count(&|(g, o)| g.len() > 5 && *o == 0), count(&|(g, o)| *o > 1 && *o < g.len())];
+            assert!(counts.iter().all(|c| *c > 3), "{counts:?} of {}", groups.len());
+            let mut filled_open = [0; 3];
+            for (at, (group, open)) in groups.iter().zip(&open).enumerate() {
                 let around = topology.labels_around(group[0], &elements.labels);
                 let label = around[at % around.len()];
-                expected.add(&changes_by_filling(&topology.fillings_of(&group, &elements.labels), label));
-                group.iter().for_each(|v| fillings.group_of[*v as usize] = at as u32);
-                fillings.labels.push(label);
+                filled_open[label.index()] += open;
+                expected.add(&changes_by_filling(&topology.fillings_of(group, &elements.labels), label));
+                group.iter().for_each(|v| fillings.label_of[*v as usize] = Some(label));
             }
+            assert!(filled_open.iter().all(|open| *open > 3), "{filled_open:?}");
             drop(topology);
             carve(&mut lattice, &mut elements, &fillings, context).unwrap();
             let vertices = lattice.vertices.positions.len();
             let neighbors = neighbors_of(&elements.tets, vertices, context).unwrap();
-            let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices, context).unwrap();
+            let topology = topology_of(&lattice, &elements, &neighbors, context);
             let found = topology.euler_ranges(&elements.labels, &wanted, context).unwrap();
-            assert_eq!(format!("{expected:?}"), format!("{found:?}"));
+            assert_eq!(expected, found);
         });
     }
 

@@ -33,7 +33,7 @@ use crate::mesh::numbering::TET_FACES;
 /// Elements with labels, and what lies around their vertices.
 pub struct InterfaceTopology<'a> {
     pub(super) tets: &'a [[u32; 4]],
-    neighbors: &'a [[u32; 4]],
+    pub(super) neighbors: &'a [[u32; 4]],
     starts: Vec<u32>,
     balls: Vec<u32>,
     /// Whether a face at the vertex has nothing behind it.
