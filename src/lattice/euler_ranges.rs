@@ -331,4 +331,24 @@ mod tests {
         // All labels together are that one.
         assert_eq!(ranges.distance_after(&changes_by_filling(&fillings[1..], Label(0))), TWELFTHS);
     }
+
+    #[test]
+    fn any_number_between_the_readings_of_the_image_will_do() {
+        let tets = [[0, 1, 2, 3], [4, 5, 6, 7]];
+        let context = RunContext::with_threads(1).unwrap();
+        let neighbors = neighbors_of(&tets, 8, &context).unwrap();
+        let topology = InterfaceTopology::new(&tets, &neighbors, 8, &context).unwrap();
+        let ranges = |wanted: [i64; 2]| topology.euler_ranges(&[Label(1); 2], &[[2; 2], wanted], &context).unwrap();
+        for within in [[2, 2], [1, 3], [3, 1], [2, 5]] {
+            let ranges = ranges(within);
+            assert_eq!((ranges.differing(), ranges.out_of_reach(Label(1))), (vec![], None), "{within:?}");
+        }
+        for (beyond, nearest) in [([1, 1], 1), ([3, 5], 3), ([1, -4], 1)] {
+            let ranges = ranges(beyond);
+            assert_eq!((ranges.differing(), ranges.out_of_reach(Label(1))), (vec![Label(1)], Some([2, nearest])));
+            // A choice may be asked to keep only what the image has one reading of.
+            let is_asked = ranges.where_image_has_one().out_of_reach(Label(1)).is_some();
+            assert_eq!(is_asked, beyond[0] == beyond[1], "{beyond:?}");
+        }
+    }
 }
