@@ -441,7 +441,7 @@ impl Rounds<'_> {
         let context = self.context;
         let wanted = self.input.region_threshold.map(|_| self.euler.as_slice());
         let of_mesh = |wanted| self.report.timed("topology", || topology.euler_ranges(&unchanged, wanted, context));
-        let euler = wanted.map(of_mesh).transpose()?;
+        let euler = wanted.map(of_mesh).transpose()?.map(EulerRanges::where_image_has_one);
         for most_lost in [usize::MAX, 0] {
             let may_lose = |labels: &[Label], changed: &[u32], label: Label| {
                 voxels_lost(labels, changed, label).filter(|lost| *lost <= most_lost)
@@ -502,7 +502,7 @@ impl Rounds<'_> {
             topology.elements_around(&pinched).into_iter().for_each(&mut mark);
             let known = match euler {
                 Some(known) => known,
-                None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
+                None => topology.euler_ranges(&elements.labels, &self.euler, context)?.where_image_has_one(),
             };
             elements_at_differences(lattice, elements, &neighbors, &known, context)?.into_iter().for_each(&mut mark);
             euler = Some(known);
@@ -550,9 +550,8 @@ impl Rounds<'_> {
         elements: &mut Elements,
         mut neighbors: Vec<[u32; 4]>,
         mut found: Vec<Mismatch>,
-        euler: Option<EulerRanges>,
+        mut euler: Option<EulerRanges>,
     ) -> Result<(Vec<[u32; 4]>, Vec<Mismatch>)> {
-        let mut euler = euler.map(EulerRanges::where_image_has_one);
         // In the first round all vertices.
         let mut to_see: Option<Vec<bool>> = None;
         for round in 1..=CARVING_ROUNDS {

@@ -187,7 +187,8 @@ pub fn choose_fillings(
     for (at, group) in groups_of(topology, &pinches.vertices).into_iter().enumerate() {
         context.check_every(GROUPS_PER_CHECK, at)?;
         let Some(filled) = choice.filled(&group) else { continue };
-        let is_good = filled.off <= 0 && filled.misplaced == 0;
+        // Where Euler numbers are to be those of the image they count more than distances.
+        let is_good = filled.off <= 0 && (filled.misplaced == 0 || choice.rules.brings_nearer);
         if is_good || !choice.may_leave_some(&topology.elements_around(&group)) {
             choice.take(filled, &mut fillings);
             continue;
@@ -259,7 +260,7 @@ impl Choice<'_> {
         let objections = |label: Label| Objections {
             off: off(&changes_by_filling(&of_group, label)),
             opened: opened(label),
-            misplaced: misplaced(group, label),
+            misplaced: if rules.brings_nearer { 0 } else { misplaced(group, label) },
         };
         let label = label_for(topology, group, &around, labels, rules.regions, objections)?;
         let with_label: Vec<u32> = group.iter().copied().filter(|v| topology.has_label(*v, label, labels)).collect();
