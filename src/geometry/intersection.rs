@@ -88,17 +88,23 @@ pub fn segment_pierces_triangle(p: DVec3, q: DVec3, [a, b, c]: [DVec3; 3]) -> bo
     turns.iter().all(|&t| t > 0.0) || turns.iter().all(|&t| t < 0.0)
 }
 
+/// The vertices of a triangle, those first that another one has too, and how many these are.
+fn shared_first(ids: [u32; 3], others: [u32; 3]) -> ([u32; 3], usize) {
+    let mut sorted = ids;
+    sorted.sort_by_key(|v| !others.contains(v));
+    (sorted, ids.iter().filter(|v| others.contains(v)).count())
+}
+
 /// How two triangles with areas meet; `ids` tell which vertices they share.
 pub fn triangle_pair(first: [u32; 3], second: [u32; 3], at: impl Fn(u32) -> DVec3) -> Meeting {
-    let shared: Vec<u32> = first.iter().copied().filter(|v| second.contains(v)).collect();
+    let (own, shared) = shared_first(first, second);
+    let (other, _) = shared_first(second, first);
     let corners = |ids: [u32; 3]| ids.map(&at);
-    let rest = |ids: [u32; 3]| ids.into_iter().filter(|v| !shared.contains(v)).collect::<Vec<_>>();
     let crossing = |meets: bool| if meets { Meeting::Crossing } else { Meeting::Proper };
-    match shared.len() {
+    match shared {
         3 => Meeting::Duplicate,
         2 => {
-            let (a, b) = (at(shared[0]), at(shared[1]));
-            let (c, d) = (at(rest(first)[0]), at(rest(second)[0]));
+            let ([a, b, c], d) = (corners(own), at(other[2]));
             if orient3d(a, b, c, d) != 0.0 {
                 return Meeting::Proper;
             }
@@ -106,13 +112,10 @@ pub fn triangle_pair(first: [u32; 3], second: [u32; 3], at: impl Fn(u32) -> DVec
             let same_side = (projected_turn(a, b, c, axis) > 0.0) == (projected_turn(a, b, d, axis) > 0.0);
             if same_side { Meeting::Overlap } else { Meeting::Proper }
         }
-        1 => {
-            let (ab, cd) = (rest(first), rest(second));
-            crossing(
-                segment_meets_triangle(at(ab[0]), at(ab[1]), corners(second))
-                    || segment_meets_triangle(at(cd[0]), at(cd[1]), corners(first)),
-            )
-        }
+        1 => crossing(
+            segment_meets_triangle(at(own[1]), at(own[2]), corners(second))
+                || segment_meets_triangle(at(other[1]), at(other[2]), corners(first)),
+        ),
         _ => {
             let (t, s) = (corners(first), corners(second));
             if separated_by_plane(t, s) || separated_by_plane(s, t) {

@@ -212,10 +212,12 @@ fn root_of(parents: &mut [u32], mut run: u32) -> u32 {
     run
 }
 
-fn unite(parents: &mut [u32], a: u32, b: u32) {
+/// Unites the sets of two members, each of which leads to its set's first one by `parents`; whether they were two.
+pub fn unite(parents: &mut [u32], a: u32, b: u32) -> bool {
     let (a, b) = (root_of(parents, a), root_of(parents, b));
     let (low, high) = (a.min(b), a.max(b));
     parents[high as usize] = low;
+    low != high
 }
 
 #[cfg(test)]

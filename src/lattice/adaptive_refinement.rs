@@ -441,7 +441,7 @@ impl Rounds<'_> {
         let context = self.context;
         let wanted = self.input.region_threshold.map(|_| self.euler.as_slice());
         let of_mesh = |wanted| self.report.timed("topology", || topology.euler_ranges(&unchanged, wanted, context));
-        let euler = wanted.map(of_mesh).transpose()?.map(EulerRanges::where_image_has_one);
+        let euler = wanted.map(of_mesh).transpose()?;
         for most_lost in [usize::MAX, 0] {
             let may_lose = |labels: &[Label], changed: &[u32], label: Label| {
                 voxels_lost(labels, changed, label).filter(|lost| *lost <= most_lost)
@@ -502,7 +502,7 @@ impl Rounds<'_> {
             topology.elements_around(&pinched).into_iter().for_each(&mut mark);
             let known = match euler {
                 Some(known) => known,
-                None => topology.euler_ranges(&elements.labels, &self.euler, context)?.where_image_has_one(),
+                None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
             };
             elements_at_differences(lattice, elements, &neighbors, &known, context)?.into_iter().for_each(&mut mark);
             euler = Some(known);
@@ -571,13 +571,12 @@ impl Rounds<'_> {
                 joinable
             };
             let extent = if round < CARVING_ROUNDS { Extent::NearLabel } else { Extent::Whole };
-            // What is checked is to have the image's numbers; nowhere else is a tunnel made for them.
-            let brings_nearer = self.input.region_threshold.is_some();
+            let are_checked = self.input.region_threshold.is_some();
             let known = match euler.take() {
                 Some(known) => known,
-                None => topology.euler_ranges(&elements.labels, &self.euler, context)?.where_image_has_one(),
+                None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
             };
-            let rules = FillingRules { regions: &joinable, euler: Some(euler.insert(known)), brings_nearer, extent };
+            let rules = FillingRules { regions: &joinable, euler: Some(euler.insert(known)), are_checked, extent };
             let fillings = choose_fillings(lattice, &elements.labels, &topology, &pinches, rules, context)?;
             drop(topology);
             let Carved { vertices, numbers } = carve(lattice, elements, &fillings, context)?;

@@ -9,7 +9,8 @@
 //!    that lies between two others that touch; not one that would join two components of the image. The vertices that do not
 //!    have the label are left for another round, with other labels, while rounds are left. Where Euler numbers are to be kept,
 //!    first of all one that leaves them within reach ([`super::euler_ranges`]). Where none does, or some vertices lie far on the
-//!    other side of it, the vertices are filled one by one, as far as that keeps them.
+//!    other side of it, the vertices are filled one by one, as far as that keeps them. Sides do not count where Euler numbers are
+//!    checked afterwards: these are what matters then.
 //! 3. The corners of a breach of a wall ([`super::image_contacts`]) count as pinched; the label of its group is the one that the
 //!    image keeps apart from the fewest of the elements around, which is the wall's.
 //!
@@ -85,8 +86,9 @@ pub struct FillingRules<'a> {
     pub regions: &'a Regions,
     /// The Euler numbers, where they are to be kept; they follow what is chosen.
     pub euler: Option<&'a mut EulerRanges>,
-    /// Whether one that is off is brought nearer by what is filled: that hides a tunnel in one place by another elsewhere.
-    pub brings_nearer: bool,
+    /// Whether they are checked afterwards. Then what is filled also brings one nearer that is off, which hides a tunnel in one
+    /// place by another elsewhere, and it does not count on which side of a boundary vertices lie.
+    pub are_checked: bool,
     /// How much of a group is filled.
     pub extent: Extent,
 }
@@ -187,9 +189,7 @@ pub fn choose_fillings(
     for (at, group) in groups_of(topology, &pinches.vertices).into_iter().enumerate() {
         context.check_every(GROUPS_PER_CHECK, at)?;
         let Some(filled) = choice.filled(&group) else { continue };
-        // Where Euler numbers are to be those of the image they count more than distances.
-        let is_good = filled.off <= 0 && (filled.misplaced == 0 || choice.rules.brings_nearer);
-        if is_good || !choice.may_leave_some(&topology.elements_around(&group)) {
+        if (filled.off <= 0 && filled.misplaced == 0) || !choice.may_leave_some(&topology.elements_around(&group)) {
             choice.take(filled, &mut fillings);
             continue;
         }
@@ -214,7 +214,7 @@ struct Filled {
     /// What the Euler numbers change by, and by how much farther from their ranges they are then.
     changes: Vec<(Label, EulerNumbers)>,
     off: i64,
-    /// How many of the vertices lie beyond the label's boundary.
+    /// How many of the vertices lie beyond the label's boundary, where that counts.
     misplaced: usize,
 }
 
@@ -224,7 +224,7 @@ struct Objections {
     off: i64,
     /// How many elements the image keeps apart from it, at a breach.
     opened: usize,
-    /// How many vertices lie beyond its boundary.
+    /// How many vertices lie beyond its boundary, where that counts.
     misplaced: usize,
 }
 
@@ -251,16 +251,19 @@ impl Choice<'_> {
             let count = || around.iter().filter(|e| contacts.keeps_apart(**e, labels, label)).count();
             if is_breached { count() } else { 0 }
         };
-        let misplaced = |group: &[u32], label: Label| group.iter().filter(|v| self.lies_beyond(**v, label)).count();
+        let misplaced = |group: &[u32], label: Label| match rules.are_checked {
+            true => 0,
+            false => group.iter().filter(|v| self.lies_beyond(**v, label)).count(),
+        };
         let fillings_of =
             |group: &[u32]| rules.euler.as_ref().map(|_| topology.fillings_of(group, labels)).unwrap_or_default();
         let of_group = fillings_of(group);
-        let least = if rules.brings_nearer { i64::MIN } else { 0 };
+        let least = if rules.are_checked { i64::MIN } else { 0 };
         let off = |changes: &[_]| rules.euler.as_ref().map_or(0, |euler| euler.distance_after(changes).max(least));
         let objections = |label: Label| Objections {
             off: off(&changes_by_filling(&of_group, label)),
             opened: opened(label),
-            misplaced: if rules.brings_nearer { 0 } else { misplaced(group, label) },
+            misplaced: misplaced(group, label),
         };
         let label = label_for(topology, group, &around, labels, rules.regions, objections)?;
         let with_label: Vec<u32> = group.iter().copied().filter(|v| topology.has_label(*v, label, labels)).collect();
@@ -547,7 +550,7 @@ mod tests {
                 };
                 let near = has(1).max(has(2));
                 let pinches = Pinches::new(line.clone(), Vec::new());
-                let rules = FillingRules { regions: &regions, euler: None, brings_nearer: false, extent };
+                let rules = FillingRules { regions: &regions, euler: None, are_checked: false, extent };
                 let fillings =
                     choose_fillings(&lattice, &elements.labels, &topology, &pinches, rules, context).unwrap();
                 drop(topology);
@@ -585,7 +588,7 @@ mod tests {
             assert!(counts[0] > 0 && counts[1] > counts[0] && counts[2] > counts[1], "{counts:?}");
             let regions = Regions { of_element: vec![0; elements.tets.len()], surplus: vec![9; 3] };
             let rules =
-                || FillingRules { regions: &regions, euler: None, brings_nearer: false, extent: Extent::NearLabel };
+                || FillingRules { regions: &regions, euler: None, are_checked: false, extent: Extent::NearLabel };
             let fillings = choose_fillings(&lattice, &elements.labels, &topology, &first, rules(), context).unwrap();
             drop(topology);
             let carved = carve(&mut lattice, &mut elements, &fillings, context).unwrap();
@@ -675,7 +678,7 @@ mod tests {
                 let pinches = Pinches::among(&lattice, &elements.labels, &topology, |_| true, context).unwrap();
                 let regions = Regions { of_element: vec![0; elements.tets.len()], surplus: vec![0; 2] };
                 let euler = keeps.then_some(&mut kept);
-                let rules = FillingRules { regions: &regions, euler, brings_nearer: false, extent: Extent::NearLabel };
+                let rules = FillingRules { regions: &regions, euler, are_checked: false, extent: Extent::NearLabel };
                 let fillings =
                     choose_fillings(&lattice, &elements.labels, &topology, &pinches, rules, context).unwrap();
                 let filled = |group: &Vec<u32>| group.iter().filter(|v| fillings.has(**v)).count();
@@ -719,8 +722,7 @@ mod tests {
             let line: Vec<u32> = (0..topology.vertex_count() as u32).filter(|v| is_at_rod(v) && has_both(v)).collect();
             assert_eq!(groups_of(&topology, &line).len(), 1);
             let regions = Regions { of_element: vec![0; elements.tets.len()], surplus: vec![0; 3] };
-            let rules =
-                FillingRules { regions: &regions, euler: None, brings_nearer: false, extent: Extent::NearLabel };
+            let rules = FillingRules { regions: &regions, euler: None, are_checked: false, extent: Extent::NearLabel };
             let pinches = Pinches::new(line.clone(), Vec::new());
             let fillings = choose_fillings(&lattice, &elements.labels, &topology, &pinches, rules, context).unwrap();
             let mut filled = [0; 3];

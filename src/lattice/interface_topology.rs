@@ -25,6 +25,7 @@ use rayon::prelude::*;
 
 use crate::context::RunContext;
 use crate::error::Result;
+use crate::image::connected_components::unite;
 use crate::index::Label;
 use crate::lattice::euler_ranges::{EulerNumbers, EulerRanges};
 use crate::lattice::face_adjacency::OUTSIDE;
@@ -296,23 +297,24 @@ impl<'a> InterfaceTopology<'a> {
 
     /// What elements show on a small sphere around a vertex of theirs: parts, connected also through corners, and Euler number.
     fn shape_on_sphere(&self, vertex: u32, elements: &[u32]) -> (i64, i64) {
-        let (mut corners, mut sides) = (Vec::new(), Vec::new());
-        let mut parts: Vec<Vec<u32>> = Vec::new();
+        let mut corners = Vec::with_capacity(3 * elements.len());
+        let mut sides = Vec::with_capacity(3 * elements.len());
         for element in elements {
-            let rest: Vec<u32> = self.tets[*element as usize].into_iter().filter(|v| *v != vertex).collect();
+            let tet = self.tets[*element as usize];
+            let at = tet.iter().position(|v| *v == vertex).unwrap_or(0);
+            let rest = TET_FACES[at].map(|v| tet[v]);
             sides.extend([[0, 1], [1, 2], [0, 2]].map(|[a, b]| [rest[a].min(rest[b]), rest[a].max(rest[b])]));
-            corners.extend_from_slice(&rest);
-            let (mut touched, apart): (Vec<Vec<u32>>, Vec<Vec<u32>>) =
-                parts.into_iter().partition(|part| part.iter().any(|v| rest.contains(v)));
-            touched.push(rest);
-            parts = apart;
-            parts.push(touched.concat());
+            corners.extend(rest);
         }
         corners.sort_unstable();
         corners.dedup();
         sides.sort_unstable();
         sides.dedup();
-        (parts.len() as i64, corners.len() as i64 - sides.len() as i64 + elements.len() as i64)
+        let mut parents: Vec<u32> = (0..corners.len() as u32).collect();
+        let place = |v: u32| corners.partition_point(|corner| *corner < v) as u32;
+        let joined = sides.iter().filter(|[a, b]| unite(&mut parents, place(*a), place(*b))).count();
+        let parts = (corners.len() - joined) as i64;
+        (parts, corners.len() as i64 - sides.len() as i64 + elements.len() as i64)
     }
 
     /// Groups of the elements around a vertex whose label passes, connected through faces at the vertex.
