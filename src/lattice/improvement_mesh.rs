@@ -328,11 +328,12 @@ impl<'a> ImprovementMesh<'a> {
         });
     }
 
-    /// Fills `ball` with the tets that a new vertex would have which splits a group of tets between some of their vertices.
+    /// Fills `ball` with the tets that a new vertex would have which splits a group of tets between some of their vertices, in the
+    /// order that they would have as well.
     pub fn gather_split(&self, tets: &[u32], between: &[u32], ball: &mut Ball) {
         ball.clear();
         self.for_each_row(tets, |t, tet| {
-            for own in (0..4).filter(|own| between.contains(&tet[*own])) {
+            for own in between.iter().filter_map(|corner| tet.iter().position(|v| v == corner)) {
                 let [a, b, c] = TET_FACES[own].map(|at| self.points[tet[at] as usize]);
                 ball.push([a, b, c], self.part(t));
             }
@@ -555,8 +556,15 @@ impl<'a> ImprovementMesh<'a> {
 
     /// Works on a vertex with its ball gathered into the mesh's own buffer.
     pub fn with_ball<T>(&mut self, v: u32, work: impl FnOnce(&mut Self, &mut Ball) -> T) -> T {
+        self.with_scratch(|mesh, ball| {
+            mesh.gather(v, ball);
+            work(mesh, ball)
+        })
+    }
+
+    /// Works with the mesh's own buffer for a ball.
+    pub fn with_scratch<T>(&mut self, work: impl FnOnce(&mut Self, &mut Ball) -> T) -> T {
         let mut ball = std::mem::take(&mut self.scratch);
-        self.gather(v, &mut ball);
         let result = work(self, &mut ball);
         self.scratch = ball;
         result

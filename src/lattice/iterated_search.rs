@@ -31,9 +31,8 @@ use crate::error::Result;
 use crate::lattice::change_log::Mark;
 use crate::lattice::element_score::{Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
-use crate::lattice::local_transformations::{ENOUGH, contract_edge, insert_between, may_contract, sides_of_edge};
+use crate::lattice::local_transformations::{contract_edge, may_contract, split_above};
 use crate::lattice::subvoxel_surface::Side;
-use crate::lattice::vertex_optimization::optimize_vertex;
 use crate::mesh::numbering::TET_EDGES;
 
 /// Rings of vertices around a low tet that are mended and compared.
@@ -314,16 +313,7 @@ fn split(mesh: &mut ImprovementMesh, a: u32, b: u32, slack: f64) -> bool {
     if shell.iter().all(|t| mesh.part(*t) == Part::Scaffold) {
         return false;
     }
-    let sides = sides_of_edge(mesh, a, b, &shell);
-    let [from, to] = [a, b].map(|v| mesh.points[v as usize]);
-    let mut middle = from.midpoint(to);
-    if !sides.is_empty() {
-        let Some(place) = mesh.surface.project(middle, &sides, 0.5 * from.distance(to)) else { return false };
-        middle = place;
-    }
-    insert_between(mesh, &[a, b], &shell, middle, sides, |mesh, m| {
-        optimize_vertex(mesh, m, ENOUGH, slack) > LEAST_PERTURBED
-    })
+    split_above(mesh, [a, b], &shell, LEAST_PERTURBED, slack)
 }
 
 #[cfg(test)]

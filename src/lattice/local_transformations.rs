@@ -2,7 +2,7 @@
 //!
 //! # Method
 //! Each transformation is planned on the group of tets it would replace, the lowest score of the new group (after its own
-//! vertices have been optimised where it makes any) is compared with that of the old group, and it is kept or taken back.
+//! vertex has been optimised where it makes one) is compared with that of the old group, and it is made or not.
 //! ```text
 //!   edge removal, n = 5            split of an inner edge that joins two surface vertices
 //!      a above, b below             surface  a-------b           a---m---b
@@ -32,7 +32,7 @@ use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace, ordered_res
 use crate::lattice::scaffold::SCAFFOLD_ANGLE;
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::surface_cuts::{LabelledFace, worst_cut};
-use crate::lattice::vertex_optimization::optimize_vertex;
+use crate::lattice::vertex_optimization::better_place;
 use crate::mesh::numbering::{TET_EDGES, TET_FACES};
 
 /// Rise of the lowest score that is worth a change of the mesh, degrees.
@@ -49,7 +49,7 @@ const LARGEST_CUT: f64 = 0.3;
 const SMALLEST_NORMAL_COSINE: f64 = 0.6;
 
 /// Scores above which nothing more is gained from a vertex optimisation inside of a plan.
-pub const ENOUGH: f64 = 30.0;
+const ENOUGH: f64 = 30.0;
 
 /// Counts of successful transformations.
 #[derive(Debug, Clone, Copy, Default)]
@@ -407,7 +407,7 @@ pub fn sides_of_edge(mesh: &ImprovementMesh, a: u32, b: u32, shell: &[u32]) -> V
     sides
 }
 
-/// Splits an edge at its middle when that, with the new vertex and its neighbours optimised, scores higher.
+/// Splits an edge at its middle when that, with the new vertex optimised, scores higher.
 fn split_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, slack: f64) -> bool {
     let shell = mesh.shell(a, b);
     if shell.iter().all(|t| mesh.part(*t) == Part::Scaffold) {
@@ -418,15 +418,28 @@ fn split_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, slack: f64) -> bool {
     if shell.iter().any(|t| mesh.part(*t) == Part::Mesh && 0.5 * opposite_angle(mesh, *t, a, b) < needed) {
         return false;
     }
-    let sides = sides_of_edge(mesh, a, b, &shell);
-    let mut middle = mesh.points[a as usize].midpoint(mesh.points[b as usize]);
+    split_above(mesh, [a, b], &shell, needed, slack)
+}
+
+/// Splits an edge with the tets of its shell in its middle, on the surface where it lies on one, where the tets of the new vertex
+/// score above what is needed once that is optimised.
+pub fn split_above(mesh: &mut ImprovementMesh, [a, b]: [u32; 2], shell: &[u32], needed: f64, slack: f64) -> bool {
+    let sides = sides_of_edge(mesh, a, b, shell);
+    let [from, to] = [a, b].map(|v| mesh.points[v as usize]);
+    let mut middle = from.midpoint(to);
     if !sides.is_empty() {
         // Only where the surface passes by: a surface vertex off its surface helps nobody.
-        let length = mesh.points[a as usize].distance(mesh.points[b as usize]);
-        let Some(place) = mesh.surface.project(middle, &sides, 0.5 * length) else { return false };
+        let Some(place) = mesh.surface.project(middle, &sides, 0.5 * from.distance(to)) else { return false };
         middle = place;
     }
-    insert_between(mesh, &[a, b], &shell, middle, sides, |mesh, m| optimize_vertex(mesh, m, ENOUGH, slack) > needed)
+    let (place, score) = mesh.with_scratch(|mesh, ball| {
+        mesh.gather_split(shell, &[a, b], ball);
+        better_place(mesh, middle, &sides, [ENOUGH, slack], ball)
+    });
+    if score > needed {
+        insert(mesh, &[a, b], shell, place, sides);
+    }
+    score > needed
 }
 
 /// Dihedral angle of a tet at the edge opposite to a b, degrees.
@@ -448,18 +461,24 @@ pub fn insert_between(
     is_good: impl FnOnce(&mut ImprovementMesh, u32) -> bool,
 ) -> bool {
     let trial = mesh.begin_trial();
-    let m = mesh.add_vertex(place, sides);
-    let mut new = Vec::with_capacity(corners.len() * tets.len());
-    for (tet, label) in mesh.rows(tets) {
-        new.extend(corners.iter().map(|corner| (tet.map(|v| if v == *corner { m } else { v }), label)));
-    }
-    mesh.replace(tets, &new);
+    let m = insert(mesh, corners, tets, place, sides);
     if is_good(mesh, m) {
         mesh.keep_trial();
         return true;
     }
     mesh.take_back(trial);
     false
+}
+
+/// Splits an edge or a face, whose tets are `tets`; returns the new vertex.
+fn insert(mesh: &mut ImprovementMesh, corners: &[u32], tets: &[u32], place: DVec3, sides: Vec<Side>) -> u32 {
+    let m = mesh.add_vertex(place, sides);
+    let mut new = Vec::with_capacity(corners.len() * tets.len());
+    for (tet, label) in mesh.rows(tets) {
+        new.extend(corners.iter().map(|corner| (tet.map(|v| if v == *corner { m } else { v }), label)));
+    }
+    mesh.replace(tets, &new);
+    m
 }
 
 /// A tet with two faces on one surface, around the edge a b, goes to the other side.
@@ -545,10 +564,12 @@ mod tests {
     use crate::index::VertexId;
     use crate::lattice::boundary_targets::SourcePoints;
     use crate::lattice::candidate_mesh::CandidateMesh;
+    use crate::lattice::element_score::Ball;
     use crate::lattice::face_adjacency::neighbors_of;
     use crate::lattice::scaffold::Scaffold;
     use crate::lattice::subvoxel_surface::SubvoxelSurface;
     use crate::lattice::test_images::voxel_image;
+    use crate::lattice::test_meshes::with_edge_on_ball;
 
     #[test]
     fn no_split_scores_more_than_half_the_angle_opposite_to_its_edge() {
@@ -571,6 +592,28 @@ mod tests {
             best = halves.map(tet_score).into_iter().fold(f64::INFINITY, f64::min).max(best);
         }
         assert!(best > 0.5 * bound && best <= bound + 1e-4, "{best} {bound}");
+    }
+
+    #[test]
+    fn a_split_is_known_to_the_last_bit_before_it_is_made() {
+        for order in [[0, 1, 2, 3], [2, 0, 3, 1], [3, 2, 1, 0]] {
+            with_edge_on_ball(0.4, order, |mut mesh| {
+                let shell = mesh.shell(0, 1);
+                let counts = (mesh.points.len(), mesh.tets.len());
+                assert!(!split_above(&mut mesh, [0, 1], &shell, 90.0, 0.1));
+                assert_eq!((mesh.points.len(), mesh.tets.len()), counts);
+                let figures = |ball: &mut Ball, at: DVec3| (ball.score(at), ball.edge_length(at), ball.center());
+                let sides = sides_of_edge(&mesh, 0, 1, &shell);
+                let place = DVec3::new(8.25, 12.8, 8.2);
+                let mut ball = Ball::default();
+                mesh.gather_split(&shell, &[0, 1], &mut ball);
+                let before = figures(&mut ball, place);
+                let m = insert(&mut mesh, &[0, 1], &shell, place, sides);
+                mesh.gather(m, &mut ball);
+                assert_eq!(figures(&mut ball, place), before);
+                assert!(before.0 > 0.0 && (mesh.lowest(mesh.ball(m)) - before.0).abs() < 1e-9, "{before:?}");
+            });
+        }
     }
 
     #[test]

@@ -154,17 +154,33 @@ pub fn plan_centering(mesh: &ImprovementMesh, v: u32, wanted: f64, ball: &mut Ba
 /// Searches a better place for a vertex; `slack` (mm) is how far a surface vertex may stay off its surface. Returns the
 /// lowest score of its ball.
 pub fn optimize_vertex(mesh: &mut ImprovementMesh, v: u32, wanted: f64, slack: f64) -> f64 {
-    mesh.with_ball(v, |mesh, ball| search_place(mesh, v, wanted, slack, ball))
+    mesh.with_ball(v, |mesh, ball| {
+        let place = mesh.points[v as usize];
+        if mesh.fixed[v as usize] {
+            return ball.score(place);
+        }
+        let (better, score) = better_place(mesh, place, mesh.sides(v), [wanted, slack], ball);
+        if better != place {
+            mesh.move_vertex(v, better);
+        }
+        score
+    })
 }
 
-fn search_place(mesh: &mut ImprovementMesh, v: u32, wanted: f64, slack: f64, ball: &mut Ball) -> f64 {
-    let mut place = mesh.points[v as usize];
+/// A better place for a vertex with the tets of a ball, and the lowest score of these there; `wanted` and `slack` as for
+/// [`optimize_vertex`].
+pub fn better_place(
+    mesh: &ImprovementMesh,
+    start: DVec3,
+    sides: &[Side],
+    [wanted, slack]: [f64; 2],
+    ball: &mut Ball,
+) -> (DVec3, f64) {
+    let mut place = start;
     let mut best = ball.score(place);
-    if mesh.fixed[v as usize] || best >= wanted {
-        return best;
+    if best >= wanted {
+        return (place, best);
     }
-    let on_surface = mesh.is_on_surface(v);
-    let start = place;
     let needed_above = |best: f64| Threshold::of((best + LEAST_GAIN).min(wanted));
     let mut needed = needed_above(best);
     let mut step = FIRST_STEP * ball.edge_length(place);
@@ -176,11 +192,11 @@ fn search_place(mesh: &mut ImprovementMesh, v: u32, wanted: f64, slack: f64, bal
         for direction in DIRECTIONS {
             let trial = place + direction * step;
             let Some(score) = ball.score_above(trial, &needed) else { continue };
-            let better = if on_surface {
-                // Only now the price of a projection: most directions fail already.
-                on_surface_trial(mesh, v, trial, [step, slack], start, &needed, ball)
-            } else {
+            let better = if sides.is_empty() {
                 Some((trial, score))
+            } else {
+                // Only now the price of a projection: most directions fail already.
+                on_surface_trial(mesh, sides, trial, [step, slack], start, &needed, ball)
             };
             if let Some((trial, score)) = better.filter(|(_, score)| *score > best) {
                 (found, best) = (Some(trial), score);
@@ -195,26 +211,23 @@ fn search_place(mesh: &mut ImprovementMesh, v: u32, wanted: f64, slack: f64, bal
             }
         }
     }
-    if place != start {
-        mesh.move_vertex(v, place);
-    }
-    best
+    (place, best)
 }
 
 /// The trial brought to within `slack` of the surface, or of where the vertex stood, when it still scores above what is
 /// needed. Where many labels crowd, the surfaces of all sides of a vertex may meet nowhere near.
 fn on_surface_trial(
     mesh: &ImprovementMesh,
-    v: u32,
+    sides: &[Side],
     trial: DVec3,
     [step, slack]: [f64; 2],
     start: DVec3,
     needed: &Threshold,
     ball: &mut Ball,
 ) -> Option<(DVec3, f64)> {
-    let is_bound_to_plane = mesh.sides(v).iter().any(|s| matches!(s, Side::Border(_)));
+    let is_bound_to_plane = sides.iter().any(|s| matches!(s, Side::Border(_)));
     let within = |center: DVec3| mesh.surface.within_borders(center + (trial - center).clamp_length_max(slack));
-    let exact = mesh.surface.project(trial, mesh.sides(v), 4.0 * step + 4.0 * slack);
+    let exact = mesh.surface.project(trial, sides, 4.0 * step + 4.0 * slack);
     let places = match exact {
         Some(exact) => [Some(exact), Some(within(exact)), Some(within(start))],
         None => [None, None, Some(within(start))],
