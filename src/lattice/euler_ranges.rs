@@ -44,14 +44,14 @@ pub type EulerNumbers = [i64; 2];
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EulerRanges {
     now: Vec<EulerNumbers>,
-    /// The least and the largest of the image, or none where any is as good.
-    wanted: Vec<Option<[i64; 2]>>,
+    /// The least and the largest of the image.
+    wanted: Vec<[i64; 2]>,
 }
 
 impl EulerRanges {
     /// How far a label would be from what is wanted, in twelfths.
     fn distance(&self, label: Label, change: EulerNumbers) -> i64 {
-        let Some([least, largest]) = self.wanted[label.index()] else { return 0 };
+        let [least, largest] = self.wanted[label.index()];
         let [closed, open] = [0, 1].map(|reading| self.now[label.index()][reading] + change[reading]);
         (closed.min(open) - largest).max(least - closed.max(open)).max(0)
     }
@@ -59,7 +59,7 @@ impl EulerRanges {
     /// How much farther from what is wanted some labels would be after changes. Labels of which the image has two numbers do not
     /// count: where one touches itself contacts are resolved one by one, and no sum says how.
     pub fn distance_after(&self, changes: &[(Label, EulerNumbers)]) -> i64 {
-        let has_one = |label: Label| self.wanted[label.index()].is_some_and(|[least, largest]| least == largest);
+        let has_one = |label: Label| self.wanted[label.index()][0] == self.wanted[label.index()][1];
         let farther =
             |(label, change): &(Label, EulerNumbers)| self.distance(*label, *change) - self.distance(*label, [0; 2]);
         changes.iter().filter(|(label, _)| has_one(*label)).map(farther).sum()
@@ -76,9 +76,8 @@ impl EulerRanges {
     /// The labels that have, or may have once nothing pinches, another Euler number than is wanted.
     pub fn differing(&self) -> Vec<Label> {
         let differs = |label: &Label| {
-            let is_out =
-                |[least, largest]: [i64; 2]| self.now[label.index()].iter().any(|n| *n < least || *n > largest);
-            self.wanted[label.index()].is_some_and(is_out)
+            let [least, largest] = self.wanted[label.index()];
+            self.now[label.index()].iter().any(|n| *n < least || *n > largest)
         };
         (1..self.now.len() as u16).map(Label).filter(differs).collect()
     }
@@ -86,9 +85,9 @@ impl EulerRanges {
     /// Euler numbers in the mesh and in the image, the nearest there, of a label that has another one than is wanted, whatever
     /// becomes of its pinches.
     pub fn out_of_reach(&self, label: Label) -> Option<[i64; 2]> {
-        let [least, largest] = self.wanted[label.index()].filter(|_| self.distance(label, [0; 2]) > 0)?;
+        let [least, largest] = self.wanted[label.index()];
         let now = self.now[label.index()][0];
-        Some([now, now.clamp(least, largest)].map(|n| n / TWELFTHS))
+        (self.distance(label, [0; 2]) > 0).then(|| [now, now.clamp(least, largest)].map(|n| n / TWELFTHS))
     }
 }
 
@@ -131,7 +130,7 @@ impl InterfaceTopology<'_> {
         // Whole numbers: the sums do not depend on the order.
         let now = mixed.fold(none, of_vertex).reduce(none, add);
         context.check()?;
-        let of_label = |[one, other]: &[i64; 2]| Some([one.min(other), one.max(other)].map(|n| TWELFTHS * n));
+        let of_label = |[one, other]: &[i64; 2]| [one.min(other), one.max(other)].map(|n| TWELFTHS * n);
         Ok(EulerRanges { now, wanted: wanted.iter().map(of_label).collect() })
     }
 
