@@ -77,6 +77,14 @@ pub struct SurfaceFace {
     pub outer: Option<u32>,
 }
 
+/// The other vertices of some faces at a vertex, in order.
+pub fn neighbors_in(faces: &[SurfaceFace]) -> Vec<u32> {
+    let mut near: Vec<u32> = faces.iter().flat_map(|face| face.others).collect();
+    near.sort_unstable();
+    near.dedup();
+    near
+}
+
 /// A face of the ball of a vertex whose second tet has not been met yet.
 #[derive(Debug, Clone, Copy)]
 pub struct OpenFace {

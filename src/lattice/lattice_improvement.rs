@@ -15,7 +15,8 @@
 //! vessels also at the end, after tets beyond the surface took the other label and surface edges that bridge a crease were flipped
 //! ([`surface_edge_flips`](crate::lattice::surface_edge_flips)). The volumes come back after that, vertex by vertex
 //! ([`volume_offsets`](crate::lattice::volume_offsets)). Tets beyond the surface take the other label in the first rounds, those
-//! that turn triangles of it upside down also at the end ([`surface_relabelling`](crate::lattice::surface_relabelling)).
+//! that turn triangles of it upside down also at the end ([`surface_relabelling`](crate::lattice::surface_relabelling)); then vertices
+//! go that stand off a surface which is nearer without them ([`surface_spikes`](crate::lattice::surface_spikes)).
 //! Vertices and tets are renumbered along a curve first, and again after most splits ([`vertex_order`](crate::lattice::vertex_order)).
 //! Around tets that are low after all that, the mesh is searched through worse ones, and surface vertices may stay off their
 //! surface by a little more each time ([`iterated_search`](crate::lattice::iterated_search)).
@@ -51,6 +52,7 @@ use crate::lattice::subvoxel_surface::SubvoxelSurface;
 use crate::lattice::surface_approach::{ApproachBounds, Around, Ways, approach_surface};
 use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::surface_relabelling::{Causes, RelabellingBounds, relabel_beyond_surface};
+use crate::lattice::surface_spikes::merge_spikes;
 use crate::lattice::vertex_optimization::{optimize_vertex, plan_inside, plan_relaxation, relax_inside};
 use crate::lattice::volume_offsets::{move_by_offsets, update_offsets};
 use crate::lattice::voxel_cleanup::CleanImage;
@@ -102,6 +104,10 @@ const NEEDLE: f64 = 0.2;
 
 /// Sweeps over needles.
 const NEEDLE_PASSES: usize = 3;
+
+/// How far off their surface vertices are that are merged into a neighbour where that brings the surface nearer, at the end, in voxels of
+/// the smallest spacing: nearly what may yield to quality in the rounds before.
+const SPIKE: f64 = 0.1;
 
 /// Rounds before which vertices and tets are renumbered: that of the lattice, and that after most splits.
 const RENUMBERED_ROUNDS: [usize; 2] = [0, 2];
@@ -322,6 +328,7 @@ pub fn improve(
             contract_short_edges(&mut work, wanted, NEEDLE, NEEDLE_PASSES, Uncontracted::Lengthen, context)?;
         summary.relabelled += relabel_beyond_surface(&mut work, &upside_down, context)?;
         loosen_all(&mut work, context)?;
+        summary.counts.spikes += merge_spikes(&mut work, SPIKE * voxel, wanted, context)?;
     }
     advance(ROUNDS + 1);
     let (searched, left) = search_last(&mut work, options, voxel, &mut summary.counts, context)?;

@@ -29,7 +29,7 @@ use glam::DVec3;
 
 use crate::index::Label;
 use crate::lattice::element_score::{Part, Threshold, lowest_score, part_fails, tet_score};
-use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace, ordered_rest, part_of};
+use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace, neighbors_in, ordered_rest, part_of};
 use crate::lattice::scaffold::SCAFFOLD_ANGLE;
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::surface_cuts::{LabelledFace, worst_cut};
@@ -69,6 +69,8 @@ pub struct TransformationCounts {
     pub short_edges: usize,
     /// Surface edges split for what they cut off.
     pub chords: usize,
+    /// Surface vertices off their surface merged into a neighbour.
+    pub spikes: usize,
 }
 
 /// Tries the transformations of a tet in order of their cost; returns whether one was made.
@@ -318,13 +320,9 @@ fn surface_contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32, shell
         return false;
     }
     let faces = mesh.surface_faces(from);
-    let mut near: Vec<u32> = faces.iter().flat_map(|f| f.others).collect();
-    near.sort_unstable();
-    near.dedup();
+    let near = neighbors_in(&faces);
     let faces_to = mesh.surface_faces(to);
-    let mut near_to: Vec<u32> = faces_to.iter().flat_map(|f| f.others).collect();
-    near_to.sort_unstable();
-    near_to.dedup();
+    let near_to = neighbors_in(&faces_to);
     // The vertices joined to both ends through surfaces are those of the triangles at the edge, or a surface would fold
     // onto itself.
     let at_edge = faces.iter().filter(|f| f.others.contains(&to)).count();

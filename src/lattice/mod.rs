@@ -72,6 +72,7 @@ pub mod surface_cuts;
 pub mod surface_deformation;
 pub mod surface_edge_flips;
 pub mod surface_relabelling;
+pub mod surface_spikes;
 pub mod surface_stars;
 #[cfg(test)]
 mod test_images;

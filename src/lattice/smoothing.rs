@@ -123,6 +123,7 @@ pub fn smooth(
     report.set("improvement.chords", result.counts.chords as f64);
     report.set("improvement.turned_edges", result.counts.turned_edges as f64);
     report.set("improvement.short_edges", result.counts.short_edges as f64);
+    report.set("improvement.spikes", result.counts.spikes as f64);
     Ok(points)
 }
 

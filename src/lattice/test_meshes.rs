@@ -60,6 +60,21 @@ pub fn with_edge_on_ball<T>(half: f64, order: [usize; 4], work: impl FnOnce(Impr
     with_tets(points, &labelled, &image, work)
 }
 
+/// Works on the six tets of the vertex 0, `off` mm above the top of a ball of 5 mm: three to the vertex 1, `depth` mm below the top
+/// (label 1), three to the vertex 2, 2 mm above it (label 2); the vertices 3 to 5 lie on the ball.
+pub fn with_vertex_on_ball<T>([off, depth]: [f64; 2], work: impl FnOnce(ImprovementMesh) -> T) -> T {
+    let (center, radius) = (DVec3::new(8.2, 7.9, 8.1), 5.0);
+    let on_ball = |turn: f64| {
+        let (side, up) = 0.3f64.sin_cos();
+        center + radius * DVec3::new(side * turn.cos(), up, side * turn.sin())
+    };
+    let mut points: Vec<DVec3> = [off, -depth, 2.0].map(|up| center + DVec3::new(0.0, radius + up, 0.0)).to_vec();
+    points.extend([0.0, 2.1, 4.2].map(on_ball));
+    let tets = |apex: u32, label: u16| [[3, 4], [4, 5], [5, 3]].map(|[p, q]| ([0, p, q, apex], Label(label)));
+    let image = voxel_image(17, |p| if p.distance(center) < radius { 1 } else { 2 });
+    with_tets(points, &[tets(1, 1), tets(2, 2)].concat(), &image, work)
+}
+
 /// Works on the tets around the edge 0 1 of a flat surface between label 1 below and label 2: the triangle to the vertex 2 lies
 /// upside down over that to the vertex 3, with a flat tet of label 2, the slot [`FOLDED`], between them. At the vertex 3 a tet of the
 /// label `beside` begins, one of the label `above` has the edge 2 3 across from the flat one.

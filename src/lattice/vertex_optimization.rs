@@ -17,7 +17,7 @@
 use glam::DVec3;
 
 use crate::lattice::element_score::{Ball, Threshold};
-use crate::lattice::improvement_mesh::ImprovementMesh;
+use crate::lattice::improvement_mesh::{ImprovementMesh, neighbors_in};
 use crate::lattice::subvoxel_surface::Side;
 
 /// Directions of the search: axes and diagonals of a cube.
@@ -97,9 +97,7 @@ fn steps(place: DVec3, goal: DVec3, fractions: &[f64]) -> impl Iterator<Item = D
 /// Mean of the neighbours on the surface that separate at least the same sides, `None` below two; and the mean distance of all
 /// neighbours on the surface.
 fn around_on_surface(mesh: &ImprovementMesh, v: u32) -> (Option<DVec3>, f64) {
-    let mut near: Vec<u32> = mesh.surface_faces(v).iter().flat_map(|f| f.others).collect();
-    near.sort_unstable();
-    near.dedup();
+    let mut near = neighbors_in(&mesh.surface_faces(v));
     let at = |w: &u32| mesh.points[*w as usize];
     let reach = near.iter().map(|w| at(w).distance(mesh.points[v as usize])).sum::<f64>() / near.len().max(1) as f64;
     near.retain(|w| mesh.sides_within(v, *w));
@@ -215,7 +213,8 @@ pub fn better_place(
 }
 
 /// The trial brought to within `slack` of the surface, or of where the vertex stood, when it still scores above what is
-/// needed. Where many labels crowd, the surfaces of all sides of a vertex may meet nowhere near.
+/// needed. Where many labels crowd, the surfaces of all sides of a vertex may meet nowhere near; where they do, no step leads farther
+/// off than the slack or the start, or each search would go on from where the last one ended.
 fn on_surface_trial(
     mesh: &ImprovementMesh,
     sides: &[Side],
@@ -226,12 +225,44 @@ fn on_surface_trial(
     ball: &mut Ball,
 ) -> Option<(DVec3, f64)> {
     let is_bound_to_plane = sides.iter().any(|s| matches!(s, Side::Border(_)));
+    let reach = 4.0 * step + 4.0 * slack;
     let within = |center: DVec3| mesh.surface.within_borders(center + (trial - center).clamp_length_max(slack));
-    let exact = mesh.surface.project(trial, sides, 4.0 * step + 4.0 * slack);
-    let places = match exact {
-        Some(exact) => [Some(exact), Some(within(exact)), Some(within(start))],
-        None => [None, None, Some(within(start))],
+    let mut scored = |place: DVec3| Some((place, ball.score_above(place, needed)?));
+    let Some(exact) = mesh.surface.project(trial, sides, reach) else {
+        return Some(within(start)).filter(|_| !is_bound_to_plane).and_then(scored);
     };
-    let allowed = if is_bound_to_plane { 1 } else { 3 };
-    places.into_iter().take(allowed).flatten().find_map(|place| Some((place, ball.score_above(place, needed)?)))
+    if is_bound_to_plane {
+        return scored(exact);
+    }
+    let is_no_farther = |place: DVec3| {
+        let off = place.distance(exact);
+        off <= slack || mesh.surface.project(start, sides, reach).is_some_and(|own| off <= start.distance(own))
+    };
+    let near_surface = [exact, within(exact)].into_iter().find_map(&mut scored);
+    near_surface.or_else(|| scored(within(start)).filter(|(place, _)| is_no_farther(*place)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lattice::test_meshes::with_vertex_on_ball;
+
+    #[test]
+    fn searches_one_after_another_end_within_the_slack() {
+        let slack = 0.1;
+        with_vertex_on_ball([0.0, 0.3], |mut mesh| {
+            let [Side::Label(a), Side::Label(b)] = *mesh.sides(0) else { panic!("{:?}", mesh.sides(0)) };
+            let place = mesh.surface.project(mesh.points[0], mesh.sides(0), 1.0).unwrap();
+            mesh.move_vertex(0, place);
+            let scores: Vec<f64> = (0..8).map(|_| optimize_vertex(&mut mesh, 0, 90.0, slack)).collect();
+            // Farther off it would gain more.
+            let [here, beyond] = [0.0, 0.1].map(|up| {
+                let place = mesh.points[0] + DVec3::new(0.0, up, 0.0);
+                mesh.with_ball(0, |_, ball| ball.score(place))
+            });
+            assert!(scores.is_sorted() && beyond > here + 1.0, "{scores:?} {beyond}");
+            let off = mesh.surface.depth(mesh.points[0], a, b).unwrap().abs();
+            assert!(off > 0.5 * slack && off <= 1.01 * slack, "{off} {scores:?}");
+        });
+    }
 }
