@@ -31,7 +31,7 @@ use crate::error::Result;
 use crate::lattice::change_log::Mark;
 use crate::lattice::element_score::{Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
-use crate::lattice::local_transformations::{contract_edge, may_contract, split_above};
+use crate::lattice::local_transformations::{contract_edge, may_contract, split_edge};
 use crate::lattice::subvoxel_surface::Side;
 use crate::mesh::numbering::TET_EDGES;
 
@@ -258,7 +258,7 @@ impl IteratedSearch {
         match perturbation {
             Perturbation::StepBack(vertices) => vertices.map(|v| step_back(mesh, v)).contains(&true),
             Perturbation::Contract(from, to) => contract_edge(mesh, from, to, &Threshold::of(LEAST_PERTURBED)),
-            Perturbation::Split(a, b) => split(mesh, a, b, self.slack),
+            Perturbation::Split(a, b) => split_edge(mesh, a, b, LEAST_PERTURBED, self.slack),
         }
     }
 }
@@ -305,15 +305,6 @@ fn in_planes(mesh: &ImprovementMesh, v: u32, mut place: DVec3) -> DVec3 {
         }
     }
     place
-}
-
-/// Splits an edge in its middle, on the surface where it lies on one.
-fn split(mesh: &mut ImprovementMesh, a: u32, b: u32, slack: f64) -> bool {
-    let shell = mesh.shell(a, b);
-    if shell.iter().all(|t| mesh.part(*t) == Part::Scaffold) {
-        return false;
-    }
-    split_above(mesh, [a, b], &shell, LEAST_PERTURBED, slack)
 }
 
 #[cfg(test)]

@@ -6,8 +6,8 @@
 //!    the difference would vanish, by a few relaxation steps over the areas between labels.
 //! 2. Surface vertices relax along their surface and onto it, one color after another
 //!    ([`surface_stars`](crate::lattice::surface_stars)); vertices of low score inside follow.
-//! 3. The tets below the wanted score are gone through by classes from the worst: their inner vertices are optimised, local
-//!    transformations are tried on what is still low; in the last rounds surface vertices are optimised too.
+//! 3. The tets below the wanted score are raised ([`low_tets`](crate::lattice::low_tets)): their inner vertices are optimised, in the
+//!    last rounds those on surfaces too, local transformations are made.
 //!
 //! Edges much shorter than those around them are contracted in between and then ([`short_edges`](crate::lattice::short_edges));
 //! in two rounds surface edges and faces are split that cut off what bends ([`chord_splits`](crate::lattice::chord_splits)), in a third
@@ -43,7 +43,8 @@ use crate::lattice::chord_splits::{chords, flip, split_chords};
 use crate::lattice::element_score::{Ball, Part, Threshold, tet_fails};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::iterated_search::{IteratedSearch, Perturbations, Reach, Surroundings};
-use crate::lattice::local_transformations::{TransformationCounts, loosen_scaffold, transform};
+use crate::lattice::local_transformations::{TransformationCounts, loosen_scaffold};
+use crate::lattice::low_tets::{Effort, Surfaces, low_among, low_tets, raise_low_tets};
 use crate::lattice::planned_batches::{PlannedChange, Touched, change_in_order};
 use crate::lattice::progress_shares;
 use crate::lattice::scaffold::STIFF_SCAFFOLD_ANGLE;
@@ -53,7 +54,7 @@ use crate::lattice::surface_approach::{ApproachBounds, Around, Ways, approach_su
 use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::surface_relabelling::{Causes, RelabellingBounds, relabel_beyond_surface};
 use crate::lattice::surface_spikes::merge_spikes;
-use crate::lattice::vertex_optimization::{optimize_vertex, plan_inside, plan_relaxation, relax_inside};
+use crate::lattice::vertex_optimization::{plan_inside, plan_relaxation, relax_inside};
 use crate::lattice::volume_offsets::{move_by_offsets, update_offsets};
 use crate::lattice::voxel_cleanup::CleanImage;
 
@@ -115,23 +116,6 @@ const RENUMBERED_ROUNDS: [usize; 2] = [0, 2];
 /// Rounds at the end in which surface vertices may yield to quality.
 const YIELDING_ROUNDS: usize = 2;
 
-/// Whether optimisation may move surface vertices off their surface by the slack.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Surfaces {
-    Stay,
-    MayYield,
-}
-
-/// What the work on low tets aims at and may spend.
-#[derive(Debug, Clone, Copy)]
-struct Effort {
-    /// Score that is wanted, degrees.
-    wanted: f64,
-    surfaces: Surfaces,
-    /// How far a surface vertex may stay off its surface, mm.
-    slack: f64,
-}
-
 /// Score that optimisation wants: the aim of 15 to 155 degrees, and a little more.
 const WANTED: f64 = 15.2;
 
@@ -186,14 +170,11 @@ const VOLUME_STEPS: usize = 3;
 /// Perturbations that searches may try in one mesh.
 const LARGEST_SEARCH: usize = 20_000;
 
-/// Width of a class of tets that are worked on in the order of their numbers, degrees.
-const SCORE_CLASS: f64 = 4.0;
-
 /// Vertices between two looks at whether the run is cancelled.
 const VERTICES_PER_CHECK: usize = 1024;
 
-/// Low tets between two such looks.
-const LOW_TETS_PER_CHECK: usize = 256;
+/// Scaffold tets between two such looks.
+const SCAFFOLD_TETS_PER_CHECK: usize = 256;
 
 /// Largest offset of a label's surface, in smallest spacings.
 const LARGEST_OFFSET: f64 = 0.5;
@@ -495,59 +476,9 @@ fn loosen_all(work: &mut ImprovementMesh, context: &RunContext) -> Result<()> {
     let stiff: Vec<u32> = context.until_cancelled(all).filter(is_stiff).collect();
     context.check()?;
     for (at, t) in stiff.into_iter().enumerate() {
-        context.check_every(LOW_TETS_PER_CHECK, at)?;
+        context.check_every(SCAFFOLD_TETS_PER_CHECK, at)?;
         if work.is_live(t) && work.part(t) == Part::Scaffold {
             loosen_scaffold(work, t);
-        }
-    }
-    Ok(())
-}
-
-/// Tets below the wanted score, worst first.
-fn low_tets(mesh: &ImprovementMesh, wanted: f64, context: &RunContext) -> Result<Vec<(f64, u32)>> {
-    low_among(mesh, (0..mesh.tets.len() as u32).into_par_iter(), wanted, context)
-}
-
-fn low_among(
-    mesh: &ImprovementMesh,
-    candidates: impl IndexedParallelIterator<Item = u32>,
-    wanted: f64,
-    context: &RunContext,
-) -> Result<Vec<(f64, u32)>> {
-    let threshold = Threshold::of(wanted);
-    let mut low: Vec<(f64, u32)> = context
-        .until_cancelled(candidates.with_min_len(1024))
-        .filter(|t| mesh.is_live(*t) && mesh.fails(*t, &threshold))
-        .map(|t| (mesh.score(t), t))
-        .collect();
-    context.check()?;
-    low.sort_unstable_by(|l, r| l.0.total_cmp(&r.0).then(l.1.cmp(&r.1)));
-    Ok(low)
-}
-
-/// Goes through tets of low score, the worst classes first, within a class along the mesh: what is near is in the cache.
-fn raise_low_tets(
-    mesh: &mut ImprovementMesh,
-    mut low: Vec<(f64, u32)>,
-    effort: &Effort,
-    mut counts: Option<&mut TransformationCounts>,
-    context: &RunContext,
-) -> Result<()> {
-    low.sort_unstable_by_key(|(score, t)| ((score.max(0.0) / SCORE_CLASS) as u32, *t));
-    for (at, (_, t)) in low.into_iter().enumerate() {
-        context.check_every(LOW_TETS_PER_CHECK, at)?;
-        if !mesh.is_live(t) || mesh.score(t) >= effort.wanted {
-            continue;
-        }
-        for v in mesh.tets[t as usize] {
-            if effort.surfaces == Surfaces::MayYield || !mesh.is_on_surface(v) {
-                optimize_vertex(mesh, v, effort.wanted, effort.slack);
-            }
-        }
-        if let Some(counts) = counts.as_deref_mut()
-            && mesh.score(t) < effort.wanted
-        {
-            transform(mesh, t, effort.slack, counts);
         }
     }
     Ok(())

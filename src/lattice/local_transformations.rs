@@ -28,8 +28,9 @@
 use glam::DVec3;
 
 use crate::index::Label;
-use crate::lattice::element_score::{Part, Threshold, lowest_score, part_fails, tet_score};
+use crate::lattice::element_score::{Ball, Part, Threshold, lowest_score, part_fails, tet_score};
 use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace, neighbors_in, ordered_rest, part_of};
+use crate::lattice::planned_batches::Touched;
 use crate::lattice::scaffold::SCAFFOLD_ANGLE;
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::surface_cuts::{LabelledFace, worst_cut};
@@ -73,38 +74,82 @@ pub struct TransformationCounts {
     pub spikes: usize,
 }
 
-/// Tries the transformations of a tet in order of their cost; returns whether one was made.
-pub fn transform(mesh: &mut ImprovementMesh, t: u32, slack: f64, counts: &mut TransformationCounts) -> bool {
+/// A transformation of a tet that gains enough, known before it is made.
+#[derive(Debug)]
+pub enum Transformation {
+    /// An edge is removed: a group of tets and the one that takes its place.
+    EdgeRemoval(Replacement),
+    /// A face is exchanged.
+    FaceExchange(Replacement),
+    /// A surface edge is turned.
+    Turn(Replacement),
+    /// The first vertex is merged into the second.
+    Contraction(u32, u32),
+    /// An edge is split.
+    Split(Split),
+}
+
+/// Slots of a group of tets, and the rows and labels of one that fills the same space.
+#[derive(Debug)]
+pub struct Replacement {
+    old: Vec<u32>,
+    new: Vec<([u32; 4], Label)>,
+}
+
+/// An edge with the tets around it and the place and sides of the vertex that splits it.
+#[derive(Debug)]
+pub struct Split {
+    ends: [u32; 2],
+    shell: Vec<u32>,
+    place: DVec3,
+    sides: Vec<Side>,
+}
+
+impl Transformation {
+    /// The first transformation of a tet, in the order of their cost, that gains enough; `slack` is how far a new surface vertex may stay
+    /// off its surface, mm, `ball` a scratch buffer. It is found from the tets at the vertices of [`vertices_around_tet`].
+    pub fn plan(mesh: &ImprovementMesh, t: u32, slack: f64, ball: &mut Ball) -> Option<Self> {
+        let tet = mesh.tets[t as usize];
+        let edges = || TET_EDGES.into_iter().map(|edge| edge.map(|v| tet[v]));
+        let removal = || edges().find_map(|[a, b]| edge_removal(mesh, a, b)).map(Self::EdgeRemoval);
+        let exchange = || (0..4).find_map(|face| face_exchange(mesh, t, face)).map(Self::FaceExchange);
+        let turn = || edges().find_map(|[a, b]| surface_edge_turn(mesh, t, a, b)).map(Self::Turn);
+        let contraction = || one_contraction(mesh, t).map(|(from, to)| Self::Contraction(from, to));
+        let mut split = || edges().find_map(|[a, b]| edge_split(mesh, a, b, slack, ball)).map(Self::Split);
+        removal().or_else(exchange).or_else(turn).or_else(contraction).or_else(&mut split)
+    }
+
+    /// Makes a transformation that was planned on the mesh as it is.
+    pub fn make(self, mesh: &mut ImprovementMesh, touched: &mut Touched, counts: &mut TransformationCounts) {
+        let (count, replacement) = match self {
+            Self::EdgeRemoval(replacement) => (&mut counts.edge_removals, replacement),
+            Self::FaceExchange(replacement) => (&mut counts.face_exchanges, replacement),
+            Self::Turn(replacement) => (&mut counts.turned_edges, replacement),
+            Self::Contraction(from, to) => {
+                touched.mark(mesh, from);
+                merge_into(mesh, from, to);
+                counts.contractions += 1;
+                return;
+            }
+            Self::Split(Split { ends, shell, place, sides }) => {
+                touched.mark_tets(mesh, &shell);
+                insert(mesh, &ends, &shell, place, sides);
+                counts.splits += 1;
+                return;
+            }
+        };
+        touched.mark_tets(mesh, &replacement.old);
+        mesh.replace(&replacement.old, &replacement.new);
+        *count += 1;
+    }
+}
+
+/// The vertices whose tets tell how a tet can be transformed: those of the tets that share an edge with it, some more than once.
+pub fn vertices_around_tet(mesh: &ImprovementMesh, t: u32) -> impl Iterator<Item = u32> {
     let tet = mesh.tets[t as usize];
-    for [a, b] in TET_EDGES {
-        if remove_edge(mesh, tet[a], tet[b], f64::NEG_INFINITY) {
-            counts.edge_removals += 1;
-            return true;
-        }
-    }
-    for face in 0..4 {
-        if exchange_face(mesh, t, face) {
-            counts.face_exchanges += 1;
-            return true;
-        }
-    }
-    for [a, b] in TET_EDGES {
-        if turn_surface_edge(mesh, t, tet[a], tet[b]) {
-            counts.turned_edges += 1;
-            return true;
-        }
-    }
-    if contract_one_edge(mesh, t) {
-        counts.contractions += 1;
-        return true;
-    }
-    for [a, b] in TET_EDGES {
-        if split_edge(mesh, tet[a], tet[b], slack) {
-            counts.splits += 1;
-            return true;
-        }
-    }
-    false
+    let shares_edge = move |n: &&u32| mesh.tets[**n as usize].iter().filter(|v| tet.contains(v)).count() >= 2;
+    let beside = tet.into_iter().flat_map(|v| mesh.ball(v)).filter(shares_edge);
+    beside.flat_map(|n| mesh.tets[*n as usize])
 }
 
 /// Lowest score of tets of one label, also where that is the scaffold's.
@@ -115,23 +160,35 @@ fn lowest_shape(mesh: &ImprovementMesh, tets: &[u32]) -> f64 {
 /// Makes a nearly flat tet of the scaffold better, so that its vertices can move.
 pub fn loosen_scaffold(mesh: &mut ImprovementMesh, t: u32) {
     let tet = mesh.tets[t as usize];
-    let removed = TET_EDGES.into_iter().any(|[a, b]| remove_edge(mesh, tet[a], tet[b], f64::NEG_INFINITY));
-    let _ = removed || (0..4).any(|face| exchange_face(mesh, t, face));
+    let removal = TET_EDGES.into_iter().find_map(|[a, b]| edge_removal(mesh, tet[a], tet[b]));
+    if let Some(Replacement { old, new }) = removal.or_else(|| (0..4).find_map(|face| face_exchange(mesh, t, face))) {
+        mesh.replace(&old, &new);
+    }
 }
 
-/// Replaces the tets around an inner edge by the best triangulation of their ring.
-fn remove_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, at_least: f64) -> bool {
+/// The best triangulation of the ring of an inner edge in place of the tets around it, where these are of one label and it gains.
+fn edge_removal(mesh: &ImprovementMesh, a: u32, b: u32) -> Option<Replacement> {
     let shell = mesh.shell(a, b);
+    let label = mesh.labels[*shell.first()? as usize];
+    let is_within = shell.iter().all(|t| mesh.labels[*t as usize] == label);
+    if is_within { ring_triangulation(mesh, [a, b], shell, label, f64::NEG_INFINITY) } else { None }
+}
+
+/// The best triangulation of the ring of an edge, all of one label, in place of its shell, where the lowest score gains and is above
+/// `at_least`.
+fn ring_triangulation(
+    mesh: &ImprovementMesh,
+    [a, b]: [u32; 2],
+    shell: Vec<u32>,
+    label: Label,
+    at_least: f64,
+) -> Option<Replacement> {
     if shell.len() < 3 || shell.len() > LONGEST_RING {
-        return false;
+        return None;
     }
-    let label = mesh.labels[shell[0] as usize];
-    if shell.iter().any(|t| mesh.labels[*t as usize] != label) {
-        return false;
-    }
-    let Some(ring) = mesh.ring(a, b, &shell) else { return false };
+    let ring = mesh.ring(a, b, &shell)?;
     let needed = (lowest_shape(mesh, &shell) + LEAST_GAIN).max(at_least);
-    let Some(triangles) = best_triangulation(mesh, [a, b], &ring, needed) else { return false };
+    let triangles = best_triangulation(mesh, [a, b], &ring, needed)?;
     let mut new = Vec::with_capacity(2 * triangles.len());
     for [i, j, k] in triangles {
         let [p, q, r] = [ring[i], ring[j], ring[k]];
@@ -139,11 +196,7 @@ fn remove_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, at_least: f64) -> boo
         new.push(([q, p, r, a], label));
     }
     // The new inner faces must not exist elsewhere: an edge between ring vertices outside of the shell would meet them.
-    if creates_known_edge(mesh, &ring, &new) {
-        return false;
-    }
-    mesh.replace(&shell, &new);
-    true
+    (!creates_known_edge(mesh, &ring, &new)).then_some(Replacement { old: shell, new })
 }
 
 /// Whether a new edge between ring vertices that are not neighbours on the ring is an edge already.
@@ -211,27 +264,24 @@ pub fn best_triangulation(
 }
 
 /// Two tets of one label to three around the line between their apexes.
-fn exchange_face(mesh: &mut ImprovementMesh, t: u32, face: usize) -> bool {
-    let Some(other) = mesh.neighbor(t, face) else { return false };
+fn face_exchange(mesh: &ImprovementMesh, t: u32, face: usize) -> Option<Replacement> {
+    let other = mesh.neighbor(t, face)?;
     let label = mesh.labels[t as usize];
     if mesh.labels[other as usize] != label {
-        return false;
+        return None;
     }
     let tet = mesh.tets[t as usize];
     let [p, q, r] = TET_FACES[face].map(|v| tet[v]);
     let inner = tet[face];
-    let Some(outer) = mesh.tets[other as usize].into_iter().find(|v| ![p, q, r].contains(v)) else { return false };
+    let outer = mesh.tets[other as usize].into_iter().find(|v| ![p, q, r].contains(v))?;
     if mesh.ball(inner).iter().any(|t| mesh.tets[*t as usize].contains(&outer)) {
-        return false;
+        return None;
     }
     // The face p q r is outward from `inner`, so p, q, inner, outer is positive where the three new tets fill the old two.
     let new = [[p, q, inner, outer], [q, r, inner, outer], [r, p, inner, outer]].map(|tet| (tet, label));
     let needed = lowest_shape(mesh, &[t, other]) + LEAST_GAIN;
-    if new.iter().any(|(tet, _)| tet_score(tet.map(|v| mesh.points[v as usize])) <= needed) {
-        return false;
-    }
-    mesh.replace(&[t, other], &new);
-    true
+    let is_low = |(tet, _): &([u32; 4], Label)| tet_score(tet.map(|v| mesh.points[v as usize])) <= needed;
+    (!new.iter().any(is_low)).then(|| Replacement { old: vec![t, other], new: new.to_vec() })
 }
 
 /// Vertices joined to `v` by an edge, sorted.
@@ -246,23 +296,19 @@ fn common(left: &[u32], right: &[u32]) -> usize {
     left.iter().filter(|v| right.binary_search(v).is_ok()).count()
 }
 
-/// Merges a vertex of the tet into another one of it, the first of the twelve ways that gains enough.
-fn contract_one_edge(mesh: &mut ImprovementMesh, t: u32) -> bool {
+/// A vertex of the tet that is to be merged into another one of it, the first of the twelve ways that gains enough.
+fn one_contraction(mesh: &ImprovementMesh, t: u32) -> Option<(u32, u32)> {
     let tet = mesh.tets[t as usize];
-    for from in tet {
+    tet.into_iter().find_map(|from| {
         // The ball is looked at only for an edge that may be contracted at all.
         let mut threshold = None;
-        for to in tet.into_iter().filter(|to| *to != from) {
-            if !may_contract(mesh, from, to) {
-                continue;
-            }
+        let mut is_good = |to: &u32| {
             let needed = threshold.get_or_insert_with(|| Threshold::of(mesh.lowest(mesh.ball(from)) + LEAST_GAIN));
-            if contract_edge(mesh, from, to, needed) {
-                return true;
-            }
-        }
-    }
-    false
+            contraction_is_good(mesh, from, *to, needed)
+        };
+        let others = tet.into_iter().filter(|to| *to != from && may_contract(mesh, from, *to));
+        others.into_iter().find(|to| is_good(to)).map(|to| (from, to))
+    })
 }
 
 /// Whether `from` may be merged into `to` as far as the vertices themselves say: a surface vertex only into one that separates
@@ -406,39 +452,54 @@ pub fn sides_of_edge(mesh: &ImprovementMesh, a: u32, b: u32, shell: &[u32]) -> V
     sides
 }
 
-/// Splits an edge at its middle when that, with the new vertex optimised, scores higher.
-fn split_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, slack: f64) -> bool {
+/// The split of an edge at its middle when that, with the new vertex optimised, scores higher.
+fn edge_split(mesh: &ImprovementMesh, a: u32, b: u32, slack: f64, ball: &mut Ball) -> Option<Split> {
     let shell = mesh.shell(a, b);
     if shell.iter().all(|t| mesh.part(*t) == Part::Scaffold) {
-        return false;
+        return None;
     }
     let needed = mesh.lowest(&shell) + LEAST_GAIN;
     // The angle of a tet at the edge opposite to the split one is shared by its two halves, wherever the new vertex goes.
     if shell.iter().any(|t| mesh.part(*t) == Part::Mesh && 0.5 * opposite_angle(mesh, *t, a, b) < needed) {
-        return false;
+        return None;
     }
-    split_above(mesh, [a, b], &shell, needed, slack)
+    split_above(mesh, [a, b], shell, [needed, slack], ball)
 }
 
-/// Splits an edge with the tets of its shell in its middle, on the surface where it lies on one, where the tets of the new vertex
-/// score above what is needed once that is optimised.
-pub fn split_above(mesh: &mut ImprovementMesh, [a, b]: [u32; 2], shell: &[u32], needed: f64, slack: f64) -> bool {
-    let sides = sides_of_edge(mesh, a, b, shell);
+/// The split of an edge with the tets of its shell in its middle, on the surface where it lies on one, where the tets of the new vertex
+/// score above what is needed once that is optimised; `ball` is a scratch buffer.
+fn split_above(
+    mesh: &ImprovementMesh,
+    [a, b]: [u32; 2],
+    shell: Vec<u32>,
+    [needed, slack]: [f64; 2],
+    ball: &mut Ball,
+) -> Option<Split> {
+    let sides = sides_of_edge(mesh, a, b, &shell);
     let [from, to] = [a, b].map(|v| mesh.points[v as usize]);
     let mut middle = from.midpoint(to);
     if !sides.is_empty() {
         // Only where the surface passes by: a surface vertex off its surface helps nobody.
-        let Some(place) = mesh.surface.project(middle, &sides, 0.5 * from.distance(to)) else { return false };
-        middle = place;
+        middle = mesh.surface.project(middle, &sides, 0.5 * from.distance(to))?;
     }
-    let (place, score) = mesh.with_scratch(|mesh, ball| {
-        mesh.gather_split(shell, &[a, b], ball);
-        better_place(mesh, middle, &sides, [ENOUGH, slack], ball)
-    });
-    if score > needed {
-        insert(mesh, &[a, b], shell, place, sides);
+    mesh.gather_split(&shell, &[a, b], ball);
+    let (place, score) = better_place(mesh, middle, &sides, [ENOUGH, slack], ball);
+    (score > needed).then_some(Split { ends: [a, b], shell, place, sides })
+}
+
+/// Splits an edge in its middle, on the surface where it lies on one, where the tets of the new vertex score above what is needed; not
+/// one of the scaffold alone.
+pub fn split_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, needed: f64, slack: f64) -> bool {
+    let shell = mesh.shell(a, b);
+    if shell.iter().all(|t| mesh.part(*t) == Part::Scaffold) {
+        return false;
     }
-    score > needed
+    let found = mesh.with_scratch(|mesh, ball| split_above(mesh, [a, b], shell, [needed, slack], ball));
+    let is_found = found.is_some();
+    if let Some(Split { ends, shell, place, sides }) = found {
+        insert(mesh, &ends, &shell, place, sides);
+    }
+    is_found
 }
 
 /// Dihedral angle of a tet at the edge opposite to a b, degrees.
@@ -481,7 +542,7 @@ fn insert(mesh: &mut ImprovementMesh, corners: &[u32], tets: &[u32], place: DVec
 }
 
 /// A tet with two faces on one surface, around the edge a b, goes to the other side.
-fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool {
+fn surface_edge_turn(mesh: &ImprovementMesh, t: u32, a: u32, b: u32) -> Option<Replacement> {
     let tet = mesh.tets[t as usize];
     let label = mesh.labels[t as usize];
     let [c, d] = {
@@ -492,14 +553,14 @@ fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool
     let behind = [c, d].map(|v| mesh.neighbor(t, face_of(v)));
     let inside = [a, b].map(|v| mesh.neighbor(t, face_of(v)));
     if inside.iter().any(|n| n.is_none_or(|n| mesh.labels[n as usize] != label)) {
-        return false;
+        return None;
     }
     let shell_of_turned = mesh.shell(c, d);
     let shell = mesh.shell(a, b);
     // a b is an edge of exactly two surface faces; c d lies inside, so that the surface stays a surface.
     if shell_of_turned.iter().any(|n| mesh.labels[*n as usize] != label) || mesh.is_surface_edge(c, d, &shell_of_turned)
     {
-        return false;
+        return None;
     }
     let at = |v: u32| mesh.points[v as usize];
     let normal = |p: u32, q: u32, r: u32| (at(q) - at(p)).cross(at(r) - at(p)).normalize_or_zero();
@@ -513,21 +574,20 @@ fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool
     let at_border = |v: u32| mesh.sides(v).iter().any(|s| matches!(s, Side::Border(_)));
     let must_stay = |v: u32| mesh.fixed[v as usize] || at_border(v) && mesh.sides(v).len() > 2;
     if !flat || [a, b, c, d].into_iter().any(must_stay) {
-        return false;
+        return None;
     }
     match behind {
         [None, None] => {
             // Outside of the mesh: nothing is left to be flat. Both ends keep other tets, or they would be lost.
             if shell.len() < 2 || mesh.ball(a).len() < 2 || mesh.ball(b).len() < 2 {
-                return false;
+                return None;
             }
-            mesh.replace(&[t], &[]);
-            true
+            Some(Replacement { old: vec![t], new: Vec::new() })
         }
         [Some(first), Some(second)] if mesh.labels[first as usize] == mesh.labels[second as usize] => {
             let other = mesh.labels[first as usize];
             if shell.iter().any(|n| *n != t && mesh.labels[*n as usize] != other) {
-                return false;
+                return None;
             }
             let sides = [label, other];
             if cuts_off(
@@ -535,23 +595,17 @@ fn turn_surface_edge(mesh: &mut ImprovementMesh, t: u32, a: u32, b: u32) -> bool
                 [([a, b, c], sides), ([a, b, d], sides)].into_iter(),
                 [([c, d, a], sides), ([c, d, b], sides)].into_iter(),
             ) {
-                return false;
+                return None;
             }
+            // As part of the other side it is in the way no more, or harms nobody there.
             let score = lowest_shape(mesh, &[t]);
-            let trial = mesh.begin_trial();
-            mesh.replace(&[t], &[(tet, other)]);
-            let is_removed = remove_edge(mesh, a, b, score);
+            let removal = ring_triangulation(mesh, [a, b], shell, other, score);
             // A scaffold may be flat, and the ends of the edge keep other tets, or they would be lost.
-            let is_used = |v: u32| mesh.ball(v).iter().any(|n| mesh.part(*n) == Part::Mesh);
+            let is_used = |v: u32| mesh.ball(v).iter().any(|n| *n != t && mesh.part(*n) == Part::Mesh);
             let may_stay = || part_of(other) == Part::Scaffold && score >= SCAFFOLD_ANGLE && is_used(a) && is_used(b);
-            if is_removed || may_stay() {
-                mesh.keep_trial();
-                return true;
-            }
-            mesh.take_back(trial);
-            false
+            removal.or_else(|| may_stay().then(|| Replacement { old: vec![t], new: vec![(tet, other)] }))
         }
-        _ => false,
+        _ => None,
     }
 }
 
@@ -563,7 +617,6 @@ mod tests {
     use crate::index::VertexId;
     use crate::lattice::boundary_targets::SourcePoints;
     use crate::lattice::candidate_mesh::CandidateMesh;
-    use crate::lattice::element_score::Ball;
     use crate::lattice::face_adjacency::neighbors_of;
     use crate::lattice::scaffold::Scaffold;
     use crate::lattice::subvoxel_surface::SubvoxelSurface;
@@ -599,7 +652,7 @@ mod tests {
             with_edge_on_ball(0.4, order, |mut mesh| {
                 let shell = mesh.shell(0, 1);
                 let counts = (mesh.points.len(), mesh.tets.len());
-                assert!(!split_above(&mut mesh, [0, 1], &shell, 90.0, 0.1));
+                assert!(!split_edge(&mut mesh, 0, 1, 90.0, 0.1));
                 assert_eq!((mesh.points.len(), mesh.tets.len()), counts);
                 let figures = |ball: &mut Ball, at: DVec3| (ball.score(at), ball.edge_length(at), ball.center());
                 let sides = sides_of_edge(&mesh, 0, 1, &shell);

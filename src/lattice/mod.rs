@@ -46,6 +46,7 @@ pub mod lattice_improvement;
 pub mod local_transformations;
 pub mod loose_pieces;
 pub mod lost_components;
+pub mod low_tets;
 pub mod mesh_regions;
 pub mod missed_voxels;
 pub mod mixed_elements;

@@ -17,7 +17,7 @@
 //! changes are those that one thread would make, in the same order.
 //!
 //! # Cost
-//! 4 bytes per vertex. On fewer than [`LEAST_THREADS`] threads nothing is planned before its turn.
+//! 4 bytes per vertex. On fewer than [`LEAST_THREADS`] threads, or for few items, nothing is planned before its turn.
 
 use rayon::prelude::*;
 
@@ -33,6 +33,9 @@ const CHUNK: usize = 16;
 
 /// Threads from which on work is planned before its turn: making plans and testing them costs as much as a second thread saves.
 pub const LEAST_THREADS: usize = 3;
+
+/// Items from which on it is worth the marks of all vertices.
+const LEAST_ITEMS: usize = 512;
 
 /// Items between two looks at whether the run is cancelled.
 const ITEMS_PER_CHECK: usize = 256;
@@ -56,7 +59,7 @@ impl Touched {
     pub fn mark_tets(&mut self, mesh: &ImprovementMesh, tets: &[u32]) {
         if self.is_needed {
             for v in tets.iter().flat_map(|t| mesh.tets[*t as usize]) {
-                // New vertices are in no plan.
+                // Vertices that are newer than the batch are in no plan.
                 if let Some(last) = self.last.get_mut(v as usize) {
                     *last = self.batch;
                 }
@@ -67,7 +70,7 @@ impl Touched {
     /// Whether a plan still holds as far as it was made from the tets of a vertex.
     #[inline]
     fn is_as_planned(&self, v: u32) -> bool {
-        self.is_needed && self.last[v as usize] != self.batch
+        self.is_needed && self.last.get(v as usize).is_some_and(|last| *last != self.batch)
     }
 }
 
@@ -104,14 +107,14 @@ pub fn change_in_order<C: PlannedChange>(
     change: &mut C,
     context: &RunContext,
 ) -> Result<()> {
-    let is_needed = context.threads() >= LEAST_THREADS;
-    let marks = if is_needed { mesh.points.len() } else { 0 };
-    let mut touched = Touched { last: vec![0; marks], batch: 0, is_needed };
+    let is_needed = context.threads() >= LEAST_THREADS && items.len() >= LEAST_ITEMS;
+    let mut touched = Touched { last: Vec::new(), batch: 0, is_needed };
     for batch in items.chunks(BATCH) {
         context.check()?;
         touched.batch += 1;
         let mut plans: Vec<C::Plan> = Vec::new();
         if is_needed {
+            touched.last.resize(mesh.points.len(), 0);
             let part = context.until_cancelled(batch.par_iter().with_min_len(CHUNK));
             plans = part.map(|item| change.plan(mesh, item)).collect();
             context.check()?;

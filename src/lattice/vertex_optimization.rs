@@ -49,6 +49,11 @@ const HALVINGS: usize = 5;
 /// take 10 to 20 % more of the whole improvement's time, and raise no more tets to what is wanted.
 const LEAST_GAIN: f64 = 0.3;
 
+/// How far off its surface searches one after another may lead a vertex, in slacks. Of 14 balls the worst vertex ended 0.42 mean spacing
+/// off without a bound, 0.20 with 1, 0.21 with 2; the volume of labels in disorder is off by 0.42, 0.47 and 0.45 % at most: what is
+/// low still is searched for with more slack.
+const CREEP: f64 = 2.0;
+
 /// Part of the way to the neighbours' mean that a relaxation goes.
 const RELAXATION: f64 = 0.7;
 
@@ -149,24 +154,8 @@ pub fn plan_centering(mesh: &ImprovementMesh, v: u32, wanted: f64, ball: &mut Ba
     steps(place, center, &[1.0, 0.7, 0.4, 0.2, 0.1]).find(|trial| ball.score_above(*trial, &needed).is_some())
 }
 
-/// Searches a better place for a vertex; `slack` (mm) is how far a surface vertex may stay off its surface. Returns the
-/// lowest score of its ball.
-pub fn optimize_vertex(mesh: &mut ImprovementMesh, v: u32, wanted: f64, slack: f64) -> f64 {
-    mesh.with_ball(v, |mesh, ball| {
-        let place = mesh.points[v as usize];
-        if mesh.fixed[v as usize] {
-            return ball.score(place);
-        }
-        let (better, score) = better_place(mesh, place, mesh.sides(v), [wanted, slack], ball);
-        if better != place {
-            mesh.move_vertex(v, better);
-        }
-        score
-    })
-}
-
-/// A better place for a vertex with the tets of a ball, and the lowest score of these there; `wanted` and `slack` as for
-/// [`optimize_vertex`].
+/// A better place for a vertex of some sides with the tets of a ball, and the lowest score of these there; `wanted` is a score that is
+/// enough, degrees, `slack` how far a surface vertex may stay off its surface, mm.
 pub fn better_place(
     mesh: &ImprovementMesh,
     start: DVec3,
@@ -214,7 +203,7 @@ pub fn better_place(
 
 /// The trial brought to within `slack` of the surface, or of where the vertex stood, when it still scores above what is
 /// needed. Where many labels crowd, the surfaces of all sides of a vertex may meet nowhere near; where they do, no step leads farther
-/// off than the slack or the start, or each search would go on from where the last one ended.
+/// off than [`CREEP`] or the start, or each search would go on from where the last one ended.
 fn on_surface_trial(
     mesh: &ImprovementMesh,
     sides: &[Side],
@@ -236,7 +225,7 @@ fn on_surface_trial(
     }
     let is_no_farther = |place: DVec3| {
         let off = place.distance(exact);
-        off <= slack || mesh.surface.project(start, sides, reach).is_some_and(|own| off <= start.distance(own))
+        off <= CREEP * slack || mesh.surface.project(start, sides, reach).is_some_and(|own| off <= start.distance(own))
     };
     let near_surface = [exact, within(exact)].into_iter().find_map(&mut scored);
     near_surface.or_else(|| scored(within(start)).filter(|(place, _)| is_no_farther(*place)))
@@ -248,13 +237,19 @@ mod tests {
     use crate::lattice::test_meshes::with_vertex_on_ball;
 
     #[test]
-    fn searches_one_after_another_end_within_the_slack() {
+    fn searches_one_after_another_end_near_the_surface() {
         let slack = 0.1;
         with_vertex_on_ball([0.0, 0.3], |mut mesh| {
             let [Side::Label(a), Side::Label(b)] = *mesh.sides(0) else { panic!("{:?}", mesh.sides(0)) };
             let place = mesh.surface.project(mesh.points[0], mesh.sides(0), 1.0).unwrap();
             mesh.move_vertex(0, place);
-            let scores: Vec<f64> = (0..8).map(|_| optimize_vertex(&mut mesh, 0, 90.0, slack)).collect();
+            let search = |_| {
+                let (place, score) = mesh
+                    .with_ball(0, |mesh, ball| better_place(mesh, mesh.points[0], mesh.sides(0), [90.0, slack], ball));
+                mesh.move_vertex(0, place);
+                score
+            };
+            let scores: Vec<f64> = (0..8).map(search).collect();
             // Farther off it would gain more.
             let [here, beyond] = [0.0, 0.1].map(|up| {
                 let place = mesh.points[0] + DVec3::new(0.0, up, 0.0);
@@ -262,7 +257,7 @@ mod tests {
             });
             assert!(scores.is_sorted() && beyond > here + 1.0, "{scores:?} {beyond}");
             let off = mesh.surface.depth(mesh.points[0], a, b).unwrap().abs();
-            assert!(off > 0.5 * slack && off <= 1.01 * slack, "{off} {scores:?}");
+            assert!(off > 0.5 * slack && off <= 1.01 * CREEP * slack, "{off} {scores:?}");
         });
     }
 }

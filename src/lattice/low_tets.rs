@@ -1,0 +1,245 @@
+//! Tets of low score are raised one after another: their vertices are optimised, then a local transformation is made.
+//!
+//! # Method
+//! The tets are gone through by classes from the worst, within a class along the mesh: what is near is in the cache. At each:
+//! 1. Its vertices go where the lowest score around them is higher ([`better_place`]); those on a surface only if asked.
+//! 2. If it is low still, the first local transformation that gains is made ([`Transformation`]).
+//!
+//! What is done first at each tet is planned for many at once ([`change_in_order`]); most plans are that nothing helps.
+//!
+//! # Source
+//! [KlingnerShewchuk2007] for the schedule.
+//!
+//! # Invariants
+//! The order of the changes is fixed: the same bits for any number of threads. The mesh conforms.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::context::RunContext;
+use crate::error::Result;
+use crate::lattice::element_score::{Ball, Threshold};
+use crate::lattice::improvement_mesh::ImprovementMesh;
+use crate::lattice::local_transformations::{Transformation, TransformationCounts, vertices_around_tet};
+use crate::lattice::planned_batches::{PlannedChange, Touched, change_in_order};
+use crate::lattice::vertex_optimization::better_place;
+
+/// Width of a class of tets that are worked on in the order of their numbers, degrees.
+const SCORE_CLASS: f64 = 4.0;
+
+/// Whether optimisation may move surface vertices off their surface by the slack.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Surfaces {
+    /// They stay where they are.
+    Stay,
+    /// They may move.
+    MayYield,
+}
+
+/// What the work on low tets aims at and may spend.
+#[derive(Debug, Clone, Copy)]
+pub struct Effort {
+    /// Score that is wanted, degrees.
+    pub wanted: f64,
+    /// Whether surface vertices may move.
+    pub surfaces: Surfaces,
+    /// How far a surface vertex may stay off its surface, mm.
+    pub slack: f64,
+}
+
+/// Tets below the wanted score, worst first.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn low_tets(mesh: &ImprovementMesh, wanted: f64, context: &RunContext) -> Result<Vec<(f64, u32)>> {
+    low_among(mesh, (0..mesh.tets.len() as u32).into_par_iter(), wanted, context)
+}
+
+/// Those of some tets below the wanted score, worst first.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn low_among(
+    mesh: &ImprovementMesh,
+    candidates: impl IndexedParallelIterator<Item = u32>,
+    wanted: f64,
+    context: &RunContext,
+) -> Result<Vec<(f64, u32)>> {
+    let threshold = Threshold::of(wanted);
+    let mut low: Vec<(f64, u32)> = context
+        .until_cancelled(candidates.with_min_len(1024))
+        .filter(|t| mesh.is_live(*t) && mesh.fails(*t, &threshold))
+        .map(|t| (mesh.score(t), t))
+        .collect();
+    context.check()?;
+    low.sort_unstable_by(|l, r| l.0.total_cmp(&r.0).then(l.1.cmp(&r.1)));
+    Ok(low)
+}
+
+/// Raises tets of low score; without `counts` elements stay the same.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn raise_low_tets(
+    mesh: &mut ImprovementMesh,
+    mut low: Vec<(f64, u32)>,
+    effort: &Effort,
+    counts: Option<&mut TransformationCounts>,
+    context: &RunContext,
+) -> Result<()> {
+    low.sort_unstable_by_key(|(score, t)| ((score.max(0.0) / SCORE_CLASS) as u32, *t));
+    let tets: Vec<u32> = low.into_iter().map(|(_, t)| t).collect();
+    change_in_order(mesh, &tets, &mut Raising { effort: *effort, counts }, context)
+}
+
+/// The work on low tets.
+struct Raising<'a> {
+    effort: Effort,
+    counts: Option<&'a mut TransformationCounts>,
+}
+
+/// A step that raises a tet.
+enum Step {
+    /// A corner of the tet goes to another place.
+    Move(usize, DVec3),
+    /// The tet is transformed.
+    Transform(Transformation),
+}
+
+impl Raising<'_> {
+    /// The first step that helps a tet, if it is low.
+    fn first_step(&self, mesh: &ImprovementMesh, t: u32, ball: &mut Ball) -> Option<Step> {
+        let is_low = mesh.is_live(t) && mesh.score(t) < self.effort.wanted;
+        if is_low { self.step_from(mesh, t, 0, ball) } else { None }
+    }
+
+    /// The first step at its corners from the given one on, or after them.
+    fn step_from(&self, mesh: &ImprovementMesh, t: u32, corner: usize, ball: &mut Ball) -> Option<Step> {
+        let Effort { wanted, surfaces, slack } = self.effort;
+        let tet = mesh.tets[t as usize];
+        let may_move = |v: u32| !mesh.fixed[v as usize] && (surfaces == Surfaces::MayYield || !mesh.is_on_surface(v));
+        for (corner, v) in tet.into_iter().enumerate().skip(corner).filter(|(_, v)| may_move(*v)) {
+            let place = mesh.points[v as usize];
+            mesh.gather(v, ball);
+            let (better, _) = better_place(mesh, place, mesh.sides(v), [wanted, slack], ball);
+            if better != place {
+                return Some(Step::Move(corner, better));
+            }
+        }
+        let may_transform = self.counts.is_some() && mesh.score(t) < wanted;
+        let transformation = may_transform.then(|| Transformation::plan(mesh, t, slack, ball)).flatten();
+        transformation.map(Step::Transform)
+    }
+}
+
+impl PlannedChange for Raising<'_> {
+    type Item = u32;
+    type Plan = Option<Step>;
+
+    fn vertices_of(&self, mesh: &ImprovementMesh, t: &u32) -> impl Iterator<Item = u32> {
+        // A slot that was emptied needs no plan, one that was filled anew has corners that were touched.
+        Some(*t).filter(|t| mesh.is_live(*t)).into_iter().flat_map(|t| vertices_around_tet(mesh, t))
+    }
+
+    fn plan(&self, mesh: &ImprovementMesh, t: &u32) -> Option<Step> {
+        self.first_step(mesh, *t, &mut Ball::default())
+    }
+
+    fn change(&mut self, mesh: &mut ImprovementMesh, t: &u32, plan: Option<Option<Step>>, touched: &mut Touched) {
+        if !mesh.is_live(*t) {
+            return;
+        }
+        let mut step = plan.unwrap_or_else(|| mesh.with_scratch(|mesh, ball| self.first_step(mesh, *t, ball)));
+        while let Some(Step::Move(corner, place)) = step {
+            let v = mesh.tets[*t as usize][corner];
+            touched.mark(mesh, v);
+            mesh.move_vertex(v, place);
+            step = mesh.with_scratch(|mesh, ball| self.step_from(mesh, *t, corner + 1, ball));
+        }
+        if let (Some(Step::Transform(transformation)), Some(counts)) = (step, self.counts.as_deref_mut()) {
+            transformation.make(mesh, touched, counts);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::index::Label;
+    use crate::lattice::test_images::voxel_image;
+    use crate::lattice::test_meshes::with_tets;
+
+    const WANTED: f64 = 25.0;
+
+    /// Cubes along an edge of a block.
+    const CUBES: u32 = 9;
+
+    /// A block of cubes of six tets each, whose inner vertices were shaken.
+    fn shaken_block() -> (Vec<DVec3>, Vec<([u32; 4], Label)>) {
+        let along = CUBES + 1;
+        let places = (0..along.pow(3)).map(|v| [v % along, v / along % along, v / along.pow(2)]);
+        let shake = |at: [u32; 3]| {
+            let turn = f64::from(at[0] + along * (at[1] + along * at[2]));
+            let is_inside = at.iter().all(|i| (1..CUBES).contains(i));
+            f64::from(u8::from(is_inside)) * 0.4 * DVec3::new(turn.sin(), (1.7 * turn).sin(), (2.9 * turn).cos())
+        };
+        let points = places.clone().map(|at| DVec3::from(at.map(f64::from)) + 1.0 + shake(at)).collect();
+        let steps = [1, along, along * along];
+        let orders = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]];
+        let of_cube = |[i, j, k]: [u32; 3]| {
+            let first = i + along * (j + along * k);
+            orders.map(|[a, b, c]| {
+                let [second, third] = [first + steps[a], first + steps[a] + steps[b]];
+                ([first, second, third, third + steps[c]], Label(1))
+            })
+        };
+        let cubes = places.filter(|at| at.iter().all(|i| *i < CUBES));
+        (points, cubes.flat_map(of_cube).collect())
+    }
+
+    /// Raises the tets of a shaken block; what it is after, and how many transformations were made.
+    fn raised(threads: usize, may_transform: bool) -> (Vec<DVec3>, Vec<[u32; 4]>, [usize; 4]) {
+        let (points, labelled) = shaken_block();
+        with_tets(points, &labelled, &voxel_image(12, |_| 1), |mut mesh| {
+            let context = RunContext::with_threads(threads).unwrap();
+            let before = low_tets(&mesh, WANTED, &context).unwrap();
+            assert!(before.len() > 1024, "{}", before.len());
+            let (count, lowest) = (before.len(), before[0].0);
+            let effort = Effort { wanted: WANTED, surfaces: Surfaces::Stay, slack: 0.1 };
+            let mut counts = TransformationCounts::default();
+            let of_run = may_transform.then_some(&mut counts);
+            raise_low_tets(&mut mesh, before, &effort, of_run, &context).unwrap();
+            let after = low_tets(&mesh, WANTED, &context).unwrap();
+            assert!(after.len() < count && after[0].0 >= lowest, "{} {count}", after.len());
+            context.cancel_token().cancel();
+            let cancelled = raise_low_tets(&mut mesh, after, &effort, None, &context);
+            assert!(matches!(cancelled, Err(crate::Error::Cancelled)));
+            let counts = [counts.edge_removals, counts.face_exchanges, counts.contractions, counts.splits];
+            (std::mem::take(&mut mesh.points), std::mem::take(&mut mesh.tets), counts)
+        })
+    }
+
+    #[test]
+    fn many_threads_raise_tets_as_one_does() {
+        let alone = raised(1, true);
+        assert!(
+            alone.2.iter().sum::<usize>() > 100 && alone.2.iter().filter(|count| **count > 0).count() > 2,
+            "{:?}",
+            alone.2
+        );
+        assert!(raised(3, true) == alone);
+    }
+
+    #[test]
+    fn tets_stay_the_same_where_only_vertices_may_move() {
+        let (points, tets, counts) = raised(3, false);
+        let (before, labelled) = shaken_block();
+        assert_eq!((points.len(), counts), (before.len(), [0; 4]));
+        let sorted = |mut tet: [u32; 4]| {
+            tet.sort_unstable();
+            tet
+        };
+        assert!(tets.len() == labelled.len());
+        assert!(tets.iter().zip(labelled).all(|(tet, (old, _))| sorted(*tet) == sorted(old)));
+    }
+}
