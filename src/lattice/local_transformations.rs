@@ -115,8 +115,8 @@ impl Transformation {
         let exchange = || (0..4).find_map(|face| face_exchange(mesh, t, face)).map(Self::FaceExchange);
         let turn = || edges().find_map(|[a, b]| surface_edge_turn(mesh, t, a, b)).map(Self::Turn);
         let contraction = || one_contraction(mesh, t).map(|(from, to)| Self::Contraction(from, to));
-        let mut split = || edges().find_map(|[a, b]| edge_split(mesh, a, b, slack, ball)).map(Self::Split);
-        removal().or_else(exchange).or_else(turn).or_else(contraction).or_else(&mut split)
+        let split = || edges().find_map(|[a, b]| edge_split(mesh, a, b, slack, ball)).map(Self::Split);
+        removal().or_else(exchange).or_else(turn).or_else(contraction).or_else(split)
     }
 
     /// Makes a transformation that was planned on the mesh as it is.
@@ -306,8 +306,8 @@ fn one_contraction(mesh: &ImprovementMesh, t: u32) -> Option<(u32, u32)> {
             let needed = threshold.get_or_insert_with(|| Threshold::of(mesh.lowest(mesh.ball(from)) + LEAST_GAIN));
             contraction_is_good(mesh, from, *to, needed)
         };
-        let others = tet.into_iter().filter(|to| *to != from && may_contract(mesh, from, *to));
-        others.into_iter().find(|to| is_good(to)).map(|to| (from, to))
+        let mut others = tet.into_iter().filter(|to| *to != from && may_contract(mesh, from, *to));
+        others.find(|to| is_good(to)).map(|to| (from, to))
     })
 }
 
@@ -455,9 +455,6 @@ pub fn sides_of_edge(mesh: &ImprovementMesh, a: u32, b: u32, shell: &[u32]) -> V
 /// The split of an edge at its middle when that, with the new vertex optimised, scores higher.
 fn edge_split(mesh: &ImprovementMesh, a: u32, b: u32, slack: f64, ball: &mut Ball) -> Option<Split> {
     let shell = mesh.shell(a, b);
-    if shell.iter().all(|t| mesh.part(*t) == Part::Scaffold) {
-        return None;
-    }
     let needed = mesh.lowest(&shell) + LEAST_GAIN;
     // The angle of a tet at the edge opposite to the split one is shared by its two halves, wherever the new vertex goes.
     if shell.iter().any(|t| mesh.part(*t) == Part::Mesh && 0.5 * opposite_angle(mesh, *t, a, b) < needed) {
@@ -467,7 +464,7 @@ fn edge_split(mesh: &ImprovementMesh, a: u32, b: u32, slack: f64, ball: &mut Bal
 }
 
 /// The split of an edge with the tets of its shell in its middle, on the surface where it lies on one, where the tets of the new vertex
-/// score above what is needed once that is optimised; `ball` is a scratch buffer.
+/// score above what is needed once that is optimised; not one of the scaffold alone. `ball` is a scratch buffer.
 fn split_above(
     mesh: &ImprovementMesh,
     [a, b]: [u32; 2],
@@ -475,6 +472,9 @@ fn split_above(
     [needed, slack]: [f64; 2],
     ball: &mut Ball,
 ) -> Option<Split> {
+    if shell.iter().all(|t| mesh.part(*t) == Part::Scaffold) {
+        return None;
+    }
     let sides = sides_of_edge(mesh, a, b, &shell);
     let [from, to] = [a, b].map(|v| mesh.points[v as usize]);
     let mut middle = from.midpoint(to);
@@ -487,13 +487,10 @@ fn split_above(
     (score > needed).then_some(Split { ends: [a, b], shell, place, sides })
 }
 
-/// Splits an edge in its middle, on the surface where it lies on one, where the tets of the new vertex score above what is needed; not
-/// one of the scaffold alone.
+/// Splits an edge of the mesh in its middle, on the surface where it lies on one, where the tets of the new vertex score above what is
+/// needed.
 pub fn split_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, needed: f64, slack: f64) -> bool {
     let shell = mesh.shell(a, b);
-    if shell.iter().all(|t| mesh.part(*t) == Part::Scaffold) {
-        return false;
-    }
     let found = mesh.with_scratch(|mesh, ball| split_above(mesh, [a, b], shell, [needed, slack], ball));
     let is_found = found.is_some();
     if let Some(Split { ends, shell, place, sides }) = found {
