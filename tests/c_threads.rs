@@ -31,5 +31,10 @@ fn checking_a_mesh_leaves_no_thread_behind() {
         assert_eq!(mw_mesh_check(mesh), MW_OK);
         mw_mesh_destroy(mesh);
     }
-    assert_eq!(threads(), before);
+    // The system may list a thread for a moment after it was joined.
+    let is_gone = |_| {
+        std::thread::sleep(std::time::Duration::from_millis(1));
+        threads() <= before
+    };
+    assert!((0..5000).any(is_gone), "{} threads instead of {before}", threads());
 }

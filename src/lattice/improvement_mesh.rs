@@ -610,6 +610,18 @@ impl<'a> ImprovementMesh<'a> {
     }
 }
 
+/// Those of the numbers below `count` for which something holds, in order. One function for all questions: each loop over threads is
+/// several kilobytes of code.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn numbers_where(count: usize, holds: &(dyn Fn(u32) -> bool + Sync), context: &RunContext) -> Result<Vec<u32>> {
+    let all = (0..count as u32).into_par_iter().with_min_len(CHUNK);
+    let found = context.until_cancelled(all).filter(|n| holds(*n)).collect();
+    context.check()?;
+    Ok(found)
+}
+
 /// The tets of each vertex, in order.
 pub fn balls_of(tets: &[[u32; 4]], vertices: usize) -> Vec<Vec<u32>> {
     let mut counts = vec![0u32; vertices];

@@ -41,7 +41,7 @@ use crate::lattice::boundary_targets::SourcePoints;
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::chord_splits::{chords, flip, split_chords};
 use crate::lattice::element_score::{Ball, Part, Threshold, tet_fails};
-use crate::lattice::improvement_mesh::ImprovementMesh;
+use crate::lattice::improvement_mesh::{ImprovementMesh, numbers_where};
 use crate::lattice::iterated_search::{IteratedSearch, Perturbations, Reach, Surroundings};
 use crate::lattice::local_transformations::{TransformationCounts, loosen_scaffold};
 use crate::lattice::low_tets::{Effort, Surfaces, low_among, low_tets, raise_low_tets};
@@ -371,10 +371,8 @@ fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunC
         moves.into_iter().for_each(|(v, place)| work.points[v as usize] = place);
     }
     let threshold = Threshold::of(wanted);
-    let tets = (0..work.tets.len() as u32).into_par_iter().with_min_len(4096);
-    let fails = |t: &u32| work.is_live(*t) && work.fails(*t, &threshold);
-    let mut candidates: Vec<u32> = context.until_cancelled(tets).filter(fails).collect();
-    context.check()?;
+    let fails = |t: u32| work.is_live(t) && work.fails(t, &threshold);
+    let mut candidates = numbers_where(work.tets.len(), &fails, context)?;
     let mut low: Vec<u32> = candidates.iter().flat_map(|t| work.tets[*t as usize]).collect();
     low.sort_unstable();
     low.dedup();
@@ -383,7 +381,7 @@ fn relax_all(work: &mut ImprovementMesh, bound: f64, wanted: f64, context: &RunC
     candidates.append(&mut inner.near);
     candidates.sort_unstable();
     candidates.dedup();
-    low_among(work, candidates.into_par_iter(), wanted, context)
+    low_among(work, candidates, wanted, context)
 }
 
 /// Moves of vertices inside of a label.
@@ -447,7 +445,7 @@ fn search_last(
         low.extend(work.tets_of(search.changed));
         low.sort_unstable();
         low.dedup();
-        left = low_among(work, low.into_par_iter(), wanted, context)?;
+        left = low_among(work, low, wanted, context)?;
     }
     Ok((better, left))
 }
@@ -461,7 +459,7 @@ fn mend_around(
     context: &RunContext,
 ) -> Result<()> {
     for _ in 0..SEARCH_SWEEPS {
-        let low = low_among(work, around.candidates(work).into_par_iter(), effort.wanted, context)?;
+        let low = low_among(work, around.candidates(work), effort.wanted, context)?;
         raise_low_tets(work, low, effort, counts.as_deref_mut(), context)?;
     }
     Ok(())
@@ -471,10 +469,8 @@ fn mend_around(
 fn loosen_all(work: &mut ImprovementMesh, context: &RunContext) -> Result<()> {
     context.check()?;
     let limit = Threshold::of(STIFF_SCAFFOLD_ANGLE);
-    let is_stiff = |t: &u32| work.part(*t) == Part::Scaffold && work.is_live(*t) && tet_fails(work.corners(*t), &limit);
-    let all = (0..work.tets.len() as u32).into_par_iter().with_min_len(4096);
-    let stiff: Vec<u32> = context.until_cancelled(all).filter(is_stiff).collect();
-    context.check()?;
+    let is_stiff = |t: u32| work.part(t) == Part::Scaffold && work.is_live(t) && tet_fails(work.corners(t), &limit);
+    let stiff = numbers_where(work.tets.len(), &is_stiff, context)?;
     for (at, t) in stiff.into_iter().enumerate() {
         context.check_every(SCAFFOLD_TETS_PER_CHECK, at)?;
         if work.is_live(t) && work.part(t) == Part::Scaffold {

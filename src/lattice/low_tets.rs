@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::lattice::element_score::{Ball, Threshold};
-use crate::lattice::improvement_mesh::ImprovementMesh;
+use crate::lattice::improvement_mesh::{ImprovementMesh, numbers_where};
 use crate::lattice::local_transformations::{Transformation, TransformationCounts, vertices_around_tet};
 use crate::lattice::planned_batches::{PlannedChange, Touched, change_in_order};
 use crate::lattice::vertex_optimization::better_place;
@@ -52,7 +52,9 @@ pub struct Effort {
 /// # Errors
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn low_tets(mesh: &ImprovementMesh, wanted: f64, context: &RunContext) -> Result<Vec<(f64, u32)>> {
-    low_among(mesh, (0..mesh.tets.len() as u32).into_par_iter(), wanted, context)
+    let threshold = Threshold::of(wanted);
+    let fails = |t: u32| mesh.is_live(t) && mesh.fails(t, &threshold);
+    low_among(mesh, numbers_where(mesh.tets.len(), &fails, context)?, wanted, context)
 }
 
 /// Those of some tets below the wanted score, worst first.
@@ -61,16 +63,15 @@ pub fn low_tets(mesh: &ImprovementMesh, wanted: f64, context: &RunContext) -> Re
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn low_among(
     mesh: &ImprovementMesh,
-    candidates: impl IndexedParallelIterator<Item = u32>,
+    mut candidates: Vec<u32>,
     wanted: f64,
     context: &RunContext,
 ) -> Result<Vec<(f64, u32)>> {
     let threshold = Threshold::of(wanted);
-    let mut low: Vec<(f64, u32)> = context
-        .until_cancelled(candidates.with_min_len(1024))
-        .filter(|t| mesh.is_live(*t) && mesh.fails(*t, &threshold))
-        .map(|t| (mesh.score(t), t))
-        .collect();
+    candidates.retain(|t| mesh.is_live(*t));
+    let scored = |t: u32| if mesh.fails(t, &threshold) { Some((mesh.score(t), t)) } else { None };
+    let tets = candidates.into_par_iter().with_min_len(1024);
+    let mut low: Vec<(f64, u32)> = context.until_cancelled(tets).filter_map(scored).collect();
     context.check()?;
     low.sort_unstable_by(|l, r| l.0.total_cmp(&r.0).then(l.1.cmp(&r.1)));
     Ok(low)

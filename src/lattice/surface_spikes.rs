@@ -24,35 +24,38 @@
 //! off its surface than the farthest of these, with the vertex that went.
 //!
 //! # Cost
-//! One distance per surface vertex, in parallel; some tens per vertex that is off.
-
-use rayon::prelude::*;
+//! One distance per surface vertex, in parallel; some tens per vertex that is off, one after another: these are few.
 
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::element_score::Threshold;
-use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace, neighbors_in};
+use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace, neighbors_in, numbers_where};
 use crate::lattice::local_transformations::{contraction_is_good, may_contract, merge_into};
-use crate::lattice::planned_batches::{PlannedChange, Touched, change_in_order};
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::surface_cuts::worst_cut;
+
+/// Vertices between two looks at whether the run is cancelled.
+const SPIKES_PER_CHECK: usize = 256;
 
 /// Merges surface vertices that are off their surface by more than `tolerance`, mm, into neighbours; returns how many.
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn merge_spikes(mesh: &mut ImprovementMesh, tolerance: f64, wanted: f64, context: &RunContext) -> Result<usize> {
-    context.check()?;
-    let far = |v: u32| distance_off(mesh, v).filter(|off| *off > tolerance).map(|off| (off, v));
-    let vertices = (0..mesh.points.len() as u32).into_par_iter().with_min_len(1024);
-    let mut off: Vec<(f64, u32)> = context.until_cancelled(vertices).filter_map(far).collect();
-    context.check()?;
-    off.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
-    let spikes: Vec<u32> = off.into_iter().map(|(_, v)| v).collect();
-    let mut merging = Merging { wanted, merged: 0 };
-    change_in_order(mesh, &spikes, &mut merging, context)?;
-    Ok(merging.merged)
+    let is_far = |v: u32| distance_off(mesh, v).is_some_and(|off| off > tolerance);
+    let far = numbers_where(mesh.points.len(), &is_far, context)?;
+    let mut spikes: Vec<(f64, u32)> = far.into_iter().filter_map(|v| Some((distance_off(mesh, v)?, v))).collect();
+    spikes.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
+    let mut merged = 0;
+    for (at, (_, v)) in spikes.into_iter().enumerate() {
+        context.check_every(SPIKES_PER_CHECK, at)?;
+        if let Some(to) = nearest_merge(mesh, v, wanted) {
+            merge_into(mesh, v, to);
+            merged += 1;
+        }
+    }
+    Ok(merged)
 }
 
 /// The labels that a vertex of the mesh lies between, where there are two and no border.
@@ -67,33 +70,6 @@ fn labels_around(mesh: &ImprovementMesh, v: u32) -> Option<[Label; 2]> {
 fn distance_off(mesh: &ImprovementMesh, v: u32) -> Option<f64> {
     let [a, b] = labels_around(mesh, v)?;
     mesh.surface.depth(mesh.points[v as usize], a, b).map(f64::abs)
-}
-
-/// The contractions of one sweep.
-struct Merging {
-    wanted: f64,
-    merged: usize,
-}
-
-impl PlannedChange for Merging {
-    type Item = u32;
-    type Plan = Option<u32>;
-
-    fn vertices_of(&self, mesh: &ImprovementMesh, v: &u32) -> impl Iterator<Item = u32> {
-        std::iter::once(*v).chain(neighbors_in(&mesh.surface_faces(*v)))
-    }
-
-    fn plan(&self, mesh: &ImprovementMesh, v: &u32) -> Option<u32> {
-        nearest_merge(mesh, *v, self.wanted)
-    }
-
-    fn change(&mut self, mesh: &mut ImprovementMesh, v: &u32, plan: Option<Option<u32>>, touched: &mut Touched) {
-        if let Some(to) = plan.unwrap_or_else(|| nearest_merge(mesh, *v, self.wanted)) {
-            touched.mark(mesh, *v);
-            merge_into(mesh, *v, to);
-            self.merged += 1;
-        }
-    }
 }
 
 /// The neighbour that a vertex is to be merged into: of those that bring the surface nearer and leave good tets, the nearest.
@@ -116,21 +92,22 @@ mod tests {
     use crate::lattice::test_meshes::with_vertex_on_ball;
 
     #[test]
-    fn a_vertex_off_its_surface_goes_and_one_on_it_stays() {
-        let left = |off: f64, wanted: f64, threads: usize| {
-            with_vertex_on_ball([off, 2.0], |mut mesh| {
-                let context = RunContext::with_threads(threads).unwrap();
+    fn a_vertex_off_its_surface_goes_unless_a_tet_pays_for_it() {
+        let left = |[off, depth]: [f64; 2], wanted: f64| {
+            with_vertex_on_ball([off, depth], |mut mesh| {
+                let context = RunContext::with_threads(1).unwrap();
                 let merged = merge_spikes(&mut mesh, 0.1, wanted, &context).unwrap();
                 let live: Vec<u32> = (0..mesh.tets.len() as u32).filter(|t| mesh.is_live(*t)).collect();
                 assert!(live.iter().all(|t| (mesh.tets[*t as usize].contains(&0)) == (merged == 0)));
                 (merged, live.len())
             })
         };
-        for threads in [1, 3] {
-            assert_eq!(left(0.6, 10.0, threads), (1, 2));
-            assert_eq!(left(-0.6, 10.0, threads), (1, 2));
-            assert_eq!(left(0.0, 10.0, threads), (0, 6));
-        }
+        assert_eq!(left([0.6, 2.0], 10.0), (1, 2));
+        assert_eq!(left([-0.6, 2.0], 10.0), (1, 2));
+        assert_eq!(left([0.0, 2.0], 10.0), (0, 6));
+        // The tet that would be left inside is flatter than those that are there.
+        assert_eq!(left([0.6, 0.4], 30.0), (0, 6));
+        assert_eq!(left([0.6, 0.4], 5.0), (1, 2));
         let cancelled = with_vertex_on_ball([0.6, 2.0], |mut mesh| {
             let context = RunContext::with_threads(1).unwrap();
             context.cancel_token().cancel();
