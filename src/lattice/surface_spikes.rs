@@ -95,6 +95,8 @@ mod tests {
     fn a_vertex_off_its_surface_goes_unless_a_tet_pays_for_it() {
         let left = |[off, depth]: [f64; 2], wanted: f64| {
             with_vertex_on_ball([off, depth], |mut mesh| {
+                // The others lie on the outside of the mesh, which is no surface of the image.
+                mesh.fixed[1..].fill(true);
                 let context = RunContext::with_threads(1).unwrap();
                 let merged = merge_spikes(&mut mesh, 0.1, wanted, &context).unwrap();
                 let live: Vec<u32> = (0..mesh.tets.len() as u32).filter(|t| mesh.is_live(*t)).collect();
