@@ -33,6 +33,7 @@ use crate::lattice::element_score::{Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::local_transformations::{contract_edge, may_contract, split_edge};
 use crate::lattice::subvoxel_surface::Side;
+use crate::lattice::surface_cuts::distance_off;
 use crate::mesh::numbering::TET_EDGES;
 
 /// Rings of vertices around a low tet that are mended and compared.
@@ -276,12 +277,7 @@ pub fn vertices_around(mesh: &ImprovementMesh, others: &[u32]) -> Vec<u32> {
 
 /// How far off their surface the vertices between two labels are at most, mm.
 fn farthest_off(mesh: &ImprovementMesh, vertices: &[u32]) -> f64 {
-    let off = |v: &u32| match *mesh.sides(*v) {
-        [Side::Label(a), Side::Label(b)] => mesh.surface.depth(mesh.points[*v as usize], a, b).map_or(0.0, f64::abs),
-        _ => 0.0,
-    };
-    let live = vertices.iter().filter(|v| !mesh.ball(**v).is_empty());
-    live.map(off).fold(0.0, f64::max)
+    vertices.iter().filter_map(|v| distance_off(mesh, *v)).fold(0.0, f64::max)
 }
 
 /// A vertex goes back a part of its way from the lattice, the largest that leaves no tet flat.

@@ -105,6 +105,12 @@ pub struct Split {
     sides: Vec<Side>,
 }
 
+impl Split {
+    fn make(self, mesh: &mut ImprovementMesh) {
+        insert(mesh, &self.ends, &self.shell, self.place, self.sides);
+    }
+}
+
 impl Transformation {
     /// The first transformation of a tet, in the order of their cost, that gains enough; `slack` is how far a new surface vertex may stay
     /// off its surface, mm, `ball` a scratch buffer. It is found from the tets at the vertices of [`vertices_around_tet`].
@@ -131,9 +137,9 @@ impl Transformation {
                 counts.contractions += 1;
                 return;
             }
-            Self::Split(Split { ends, shell, place, sides }) => {
-                touched.mark_tets(mesh, &shell);
-                insert(mesh, &ends, &shell, place, sides);
+            Self::Split(split) => {
+                touched.mark_tets(mesh, &split.shell);
+                split.make(mesh);
                 counts.splits += 1;
                 return;
             }
@@ -492,11 +498,7 @@ fn split_above(
 pub fn split_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, needed: f64, slack: f64) -> bool {
     let shell = mesh.shell(a, b);
     let found = mesh.with_scratch(|mesh, ball| split_above(mesh, [a, b], shell, [needed, slack], ball));
-    let is_found = found.is_some();
-    if let Some(Split { ends, shell, place, sides }) = found {
-        insert(mesh, &ends, &shell, place, sides);
-    }
-    is_found
+    found.map(|split| split.make(mesh)).is_some()
 }
 
 /// Dihedral angle of a tet at the edge opposite to a b, degrees.

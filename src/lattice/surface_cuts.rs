@@ -15,9 +15,24 @@ use rustc_hash::FxHashMap;
 
 use crate::index::Label;
 use crate::lattice::improvement_mesh::ImprovementMesh;
+use crate::lattice::subvoxel_surface::Side;
 
 /// A surface face: its vertices and the labels of its sides.
 pub type LabelledFace = ([u32; 3], [Label; 2]);
+
+/// The two labels that a vertex of the mesh lies between; `None` for any other, and where it has no tets left.
+pub fn labels_around(mesh: &ImprovementMesh, v: u32) -> Option<[Label; 2]> {
+    match *mesh.sides(v) {
+        [Side::Label(a), Side::Label(b)] if !mesh.ball(v).is_empty() => Some([a, b]),
+        _ => None,
+    }
+}
+
+/// How far off its surface a vertex between two labels is, mm.
+pub fn distance_off(mesh: &ImprovementMesh, v: u32) -> Option<f64> {
+    let [a, b] = labels_around(mesh, v)?;
+    mesh.surface.depth(mesh.points[v as usize], a, b).map(f64::abs)
+}
 
 /// No vertex.
 const NONE: u32 = u32::MAX;

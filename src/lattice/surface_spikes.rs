@@ -28,12 +28,10 @@
 
 use crate::context::RunContext;
 use crate::error::Result;
-use crate::index::Label;
 use crate::lattice::element_score::Threshold;
 use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace, neighbors_in, numbers_where};
 use crate::lattice::local_transformations::{contraction_is_good, may_contract, merge_into};
-use crate::lattice::subvoxel_surface::Side;
-use crate::lattice::surface_cuts::worst_cut;
+use crate::lattice::surface_cuts::{distance_off, labels_around, worst_cut};
 
 /// Vertices between two looks at whether the run is cancelled.
 const SPIKES_PER_CHECK: usize = 256;
@@ -48,9 +46,9 @@ pub fn merge_spikes(mesh: &mut ImprovementMesh, tolerance: f64, wanted: f64, con
     let mut spikes: Vec<(f64, u32)> = far.into_iter().filter_map(|v| Some((distance_off(mesh, v)?, v))).collect();
     spikes.sort_unstable_by(|l, r| r.0.total_cmp(&l.0).then(l.1.cmp(&r.1)));
     let mut merged = 0;
-    for (at, (_, v)) in spikes.into_iter().enumerate() {
+    for (at, (off, v)) in spikes.into_iter().enumerate() {
         context.check_every(SPIKES_PER_CHECK, at)?;
-        if let Some(to) = nearest_merge(mesh, v, wanted) {
+        if let Some(to) = nearest_merge(mesh, v, off, wanted) {
             merge_into(mesh, v, to);
             merged += 1;
         }
@@ -58,26 +56,13 @@ pub fn merge_spikes(mesh: &mut ImprovementMesh, tolerance: f64, wanted: f64, con
     Ok(merged)
 }
 
-/// The labels that a vertex of the mesh lies between, where there are two and no border.
-fn labels_around(mesh: &ImprovementMesh, v: u32) -> Option<[Label; 2]> {
-    match *mesh.sides(v) {
-        [Side::Label(a), Side::Label(b)] if !mesh.ball(v).is_empty() => Some([a, b]),
-        _ => None,
-    }
-}
-
-/// How far off its surface a vertex between two labels is, mm.
-fn distance_off(mesh: &ImprovementMesh, v: u32) -> Option<f64> {
-    let [a, b] = labels_around(mesh, v)?;
-    mesh.surface.depth(mesh.points[v as usize], a, b).map(f64::abs)
-}
-
-/// The neighbour that a vertex is to be merged into: of those that bring the surface nearer and leave good tets, the nearest.
-fn nearest_merge(mesh: &ImprovementMesh, v: u32, wanted: f64) -> Option<u32> {
+/// The neighbour that a vertex `off` its surface is to be merged into: of those that bring the surface nearer and leave good tets, the
+/// nearest.
+fn nearest_merge(mesh: &ImprovementMesh, v: u32, off: f64, wanted: f64) -> Option<u32> {
     let labels = labels_around(mesh, v)?;
     let faces = mesh.surface_faces(v);
     let at = |corner: u32| move |face: &SurfaceFace| ([corner, face.others[0], face.others[1]], labels);
-    let before = worst_cut(mesh, faces.iter().map(at(v))).max(distance_off(mesh, v)?);
+    let before = worst_cut(mesh, faces.iter().map(at(v))).max(off);
     let after = |to: u32| worst_cut(mesh, faces.iter().filter(|face| !face.others.contains(&to)).map(at(to)));
     let neighbors = neighbors_in(&faces).into_iter().filter(|to| may_contract(mesh, v, *to));
     let mut nearer: Vec<(f64, u32)> = neighbors.map(|to| (after(to), to)).filter(|(cut, _)| *cut < before).collect();
