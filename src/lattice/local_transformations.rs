@@ -1,9 +1,8 @@
 //! Local transformations of the worst tets: edge removal, face exchange, edge contraction, edge split, turning a surface edge.
 //!
 //! # Method
-//! Each transformation is planned on the group of tets it would replace, the lowest score of the new group (after its own
-//! vertex has been optimised where it makes one) is compared with that of the old group, and it is made or not. Only the turn of a
-//! surface edge is tried on the mesh, and taken back where it gains nothing.
+//! Each transformation is planned on the group of tets it would replace: the lowest score of the new group, after its own vertex
+//! has been optimised where it makes one, is compared with that of the old group. Nothing is tried on the mesh.
 //! ```text
 //!   edge removal, n = 5            split of an inner edge that joins two surface vertices
 //!      a above, b below             surface  a-------b           a---m---b

@@ -128,7 +128,7 @@ pub const PARAMETERS: Table = &[
     row("confidence-factor", "scaleFactorForConfidence", above(0.0, 1.0), Default::Real(0.2), "", "Smoothing",
         "Scales the confidence of source points at elements of low quality."),
     row("max-confidence-iterations", "maxNumberScaledConfidenceIterations", COUNT, Default::Integer(3), "", "Smoothing",
-        "How often the confidence is scaled before an iteration is taken back."),
+        "How often the confidence is scaled in an iteration at most; it ends earlier where that helps little."),
     row("laplacian-iterations", "numberLaplacianSmoothingIterations", COUNT, Default::Integer(0), "", "Smoothing",
         "Iterations of quality-guarded Laplacian smoothing of the vertices."),
     row("local-transformations", "localTransformations", Kind::Flag, Default::Flag(true), "", "Smoothing",

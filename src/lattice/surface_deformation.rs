@@ -8,7 +8,8 @@
 //! 2. Solve `(K + f H^T H) U = f H^T D` for the displacements of all vertices: K linear elasticity with a material per
 //!    label on tets, pyramids and hexahedra ([`ElasticModel`]), H picks the source points, f the flexibility and the
 //!    confidence of the point.
-//! 3. Source points of elements that U would spoil get their confidence scaled down; solve again, a few tries.
+//! 3. Source points of elements that U would spoil get their confidence scaled down; solve again, a few tries, as long as each
+//!    leaves few of them ([`MOST_LEFT`]).
 //! 4. The move is made under the guard of [`move_guarded`], which damps it where an element is still spoiled.
 //!
 //! # Source
@@ -47,6 +48,11 @@ const RELATIVE_TOLERANCE: f64 = 1e-2;
 
 /// Iterations per solve at most; the guard takes whatever has been reached.
 const MAX_SOLVER_ITERATIONS: usize = 60;
+
+/// Share of the source points at spoiled elements that may be left after a try for another one to follow: where many are left the pull
+/// of their neighbours spoils the elements, and no scale of their own helps. On an atlas of 116 labels 81 to 100 % are left after
+/// the first try.
+const MOST_LEFT: f64 = 0.5;
 
 /// Stiffness of a vertex that must not move, in units of the flexibility.
 const HELD: f64 = 1e6;
@@ -205,6 +211,7 @@ fn displacements_of(
     let mut displacements = vec![DVec3::ZERO; mesh.points.len()];
     let mut right = vec![DVec3::ZERO; mesh.points.len()];
     let mut residual = vec![DVec3::ZERO; mesh.points.len()];
+    let mut most = usize::MAX;
     for attempt in 0..=input.options.max_confidence_iterations {
         let pulls: Vec<f64> = confidence.iter().map(|c| input.options.flexibility * c).collect();
         let force = |(at, v): (usize, &VertexId)| {
@@ -224,11 +231,15 @@ fn displacements_of(
         let unknowns = [displacements.as_mut_slice(), residual.as_mut_slice()];
         let solve = conjugate_gradient_from(matrix, &right, unknowns, preconditioner, &rule, context)?;
         summary.solver_iterations += solve.iterations;
-        if attempt == input.options.max_confidence_iterations
-            || !scale_confidence(mesh, input, body, &displacements, &mut confidence)
-        {
+        if attempt == input.options.max_confidence_iterations {
             break;
         }
+        let spoiled = spoiled_sources(mesh, input, body, &displacements);
+        if spoiled.is_empty() || spoiled.len() > most {
+            break;
+        }
+        most = (MOST_LEFT * spoiled.len() as f64) as usize;
+        spoiled.into_iter().for_each(|at| confidence[at] *= input.options.confidence_factor);
         summary.scaled_tries += 1;
     }
     body.model.move_centers(&mut displacements);
@@ -296,14 +307,8 @@ fn source_displacements(
     Ok(displacements)
 }
 
-/// Scales the confidence at elements that the displacements would spoil; `false` where there is none.
-fn scale_confidence(
-    mesh: &CandidateMesh,
-    input: &Deformation,
-    body: &Body<'_>,
-    displacements: &[DVec3],
-    confidence: &mut [f64],
-) -> bool {
+/// The source points of elements that the displacements would spoil.
+fn spoiled_sources(mesh: &CandidateMesh, input: &Deformation, body: &Body<'_>, displacements: &[DVec3]) -> Vec<usize> {
     let bound = Threshold::of(input.options.min_dihedral_angle);
     let pairs = mesh.points.par_iter().zip(displacements).with_min_len(4096);
     let moved: Vec<DVec3> = pairs.map(|(point, displacement)| *point + *displacement).collect();
@@ -312,15 +317,9 @@ fn scale_confidence(
         let [a, b, c, d] = tet.map(|v| moved[v.index()]);
         tet_fails([a, b, c, d], &bound) && tet_score([a, b, c, d]) < tet_score(tet.map(|v| mesh.points[v.index()]))
     };
-    let spoiled: Vec<u32> = body.near.par_iter().with_min_len(1024).filter(is_spoiled).copied().collect();
-    let mut is_scaled = vec![false; confidence.len()];
-    let mut any = false;
-    let vertices = spoiled.iter().flat_map(|t| mesh.tets[*t as usize]);
-    for at in vertices.filter_map(|v| input.sources.position_of(v)) {
-        if !std::mem::replace(&mut is_scaled[at], true) {
-            confidence[at] *= input.options.confidence_factor;
-            any = true;
-        }
-    }
-    any
+    let tets: Vec<u32> = body.near.par_iter().with_min_len(1024).filter(is_spoiled).copied().collect();
+    let mut vertices: Vec<VertexId> = tets.into_iter().flat_map(|t| mesh.tets[t as usize]).collect();
+    vertices.sort_unstable();
+    vertices.dedup();
+    vertices.into_iter().filter_map(|v| input.sources.position_of(v)).collect()
 }
