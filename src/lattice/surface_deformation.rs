@@ -8,8 +8,8 @@
 //! 2. Solve `(K + f H^T H) U = f H^T D` for the displacements of all vertices: K linear elasticity with a material per
 //!    label on tets, pyramids and hexahedra ([`ElasticModel`]), H picks the source points, f the flexibility and the
 //!    confidence of the point.
-//! 3. Source points of elements that U would spoil get their confidence scaled down; solve again, a few tries, as long as each
-//!    leaves few of them ([`MOST_LEFT`]).
+//! 3. Source points of elements that U would spoil get their confidence scaled down; solve again, a few tries, as long as each one
+//!    leaves at most half of them.
 //! 4. The move is made under the guard of [`move_guarded`], which damps it where an element is still spoiled.
 //!
 //! # Source
