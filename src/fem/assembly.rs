@@ -127,6 +127,9 @@ fn fill_rows(
     blocks: &mut [DMat3],
 ) {
     let base = pattern.offsets()[rows.start];
+    // Written before anything is added: a fresh page that is read first is mapped a second time when it is written, and that second
+    // time halts every other thread of the process.
+    blocks.fill(DMat3::ZERO);
     let mut elements: Vec<u32> = rows.clone().flat_map(|row| incidence.of(row)).copied().collect();
     elements.sort_unstable();
     elements.dedup();
