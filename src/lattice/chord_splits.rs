@@ -111,26 +111,27 @@ impl PlannedChange for Splits {
     type Item = Chord;
     type Plan = Option<Insertion>;
 
-    fn vertices_of(&self, _: &ImprovementMesh, chord: &Chord) -> impl Iterator<Item = u32> {
-        chord.corners().iter().copied()
+    fn append_vertices(&self, _: &ImprovementMesh, chord: &Chord, vertices: &mut Vec<u32>) {
+        vertices.extend(chord.corners());
     }
 
-    fn plan(&self, mesh: &ImprovementMesh, chord: &Chord) -> Option<Insertion> {
-        Insertion::plan(mesh, *chord, self.bound, Towards::Crease)
+    fn plan(&self, mesh: &ImprovementMesh, chord: &Chord, ball: &mut Ball) -> Option<Insertion> {
+        Insertion::plan(mesh, *chord, self.bound, Towards::Crease, ball)
     }
 
     fn change(
         &mut self,
         mesh: &mut ImprovementMesh,
         chord: &Chord,
-        plan: Option<Option<Insertion>>,
+        plan: Option<Insertion>,
         touched: &mut Touched,
-    ) {
-        if let Some(insertion) = plan.unwrap_or_else(|| self.plan(mesh, chord)) {
+    ) -> Option<Chord> {
+        if let Some(insertion) = plan {
             // What is taken back leaves tets in another order.
             touched.mark_tets(mesh, &insertion.tets);
             self.made += usize::from(insertion.make(mesh, *chord, self.bound, Start::Nearer));
         }
+        None
     }
 }
 
@@ -267,7 +268,7 @@ pub fn insert_in_chord(
     bound: f64,
     (begin, towards): (Start, Towards),
 ) -> Option<(u32, [DVec3; 2])> {
-    let insertion = Insertion::plan(mesh, chord, bound, towards)?;
+    let insertion = mesh.with_scratch(|mesh, ball| Insertion::plan(mesh, chord, bound, towards, ball))?;
     let ends = insertion.ends;
     insertion.make(mesh, chord, bound, begin).then(|| (mesh.points.len() as u32 - 1, ends))
 }
@@ -286,12 +287,12 @@ struct Insertion {
 }
 
 impl Insertion {
-    fn plan(mesh: &ImprovementMesh, chord: Chord, bound: f64, towards: Towards) -> Option<Self> {
+    /// `ball` is a scratch buffer.
+    fn plan(mesh: &ImprovementMesh, chord: Chord, bound: f64, towards: Towards, ball: &mut Ball) -> Option<Self> {
         let (tets, sides, ends) = chord_at(mesh, chord, towards)?;
         let before = mesh.lowest(&tets);
-        let mut ball = Ball::default();
-        mesh.gather_split(&tets, chord.corners(), &mut ball);
-        let place = first_place(&mut ball, ends, &Threshold::of(before.min(bound)));
+        mesh.gather_split(&tets, chord.corners(), ball);
+        let place = first_place(ball, ends, &Threshold::of(before.min(bound)));
         Some(Self { tets, sides, ends, before, place })
     }
 

@@ -311,7 +311,7 @@ impl<'a> ImprovementMesh<'a> {
     /// Goes through the rows of a group of tets. They lie apart in memory: all rows of a chunk are asked for before the first is
     /// used, so that the processor waits for them side by side.
     #[inline]
-    fn for_each_row(&self, tets: &[u32], mut work: impl FnMut(u32, [u32; 4])) {
+    pub fn for_each_row(&self, tets: &[u32], mut work: impl FnMut(u32, [u32; 4])) {
         let mut rows = [DEAD; ROWS_AT_ONCE];
         for chunk in tets.chunks(ROWS_AT_ONCE) {
             rows.iter_mut().zip(chunk).for_each(|(row, t)| *row = self.tets[*t as usize]);

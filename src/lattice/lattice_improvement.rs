@@ -396,23 +396,27 @@ impl PlannedChange for InnerRelaxation {
     type Item = u32;
     type Plan = Option<DVec3>;
 
-    fn vertices_of(&self, _: &ImprovementMesh, v: &u32) -> impl Iterator<Item = u32> {
-        std::iter::once(*v)
+    fn append_vertices(&self, _: &ImprovementMesh, v: &u32, vertices: &mut Vec<u32>) {
+        vertices.push(*v);
     }
 
-    fn plan(&self, mesh: &ImprovementMesh, v: &u32) -> Option<DVec3> {
-        plan_inside(mesh, *v, self.wanted, &mut Ball::default())
+    fn plan(&self, mesh: &ImprovementMesh, v: &u32, ball: &mut Ball) -> Option<DVec3> {
+        plan_inside(mesh, *v, self.wanted, ball)
     }
 
-    fn change(&mut self, mesh: &mut ImprovementMesh, v: &u32, plan: Option<Option<DVec3>>, touched: &mut Touched) {
-        let is_moved = match plan {
-            Some(place) => place.inspect(|place| mesh.move_vertex(*v, *place)).is_some(),
-            None => relax_inside(mesh, *v, self.wanted),
-        };
-        if is_moved {
+    fn change(
+        &mut self,
+        mesh: &mut ImprovementMesh,
+        v: &u32,
+        plan: Option<DVec3>,
+        touched: &mut Touched,
+    ) -> Option<u32> {
+        if let Some(place) = plan {
             touched.mark(mesh, *v);
+            mesh.move_vertex(*v, place);
             self.near.extend(mesh.ball(*v));
         }
+        None
     }
 }
 

@@ -112,7 +112,8 @@ impl Split {
 
 impl Transformation {
     /// The first transformation of a tet, in the order of their cost, that gains enough; `slack` is how far a new surface vertex may stay
-    /// off its surface, mm, `ball` a scratch buffer. It is found from the tets at the vertices of [`vertices_around_tet`].
+    /// off its surface, mm, `ball` a scratch buffer. It is found from the tets at the vertices of
+    /// [`append_vertices_around_tet`].
     pub fn plan(mesh: &ImprovementMesh, t: u32, slack: f64, ball: &mut Ball) -> Option<Self> {
         let tet = mesh.tets[t as usize];
         let edges = || TET_EDGES.into_iter().map(|edge| edge.map(|v| tet[v]));
@@ -149,12 +150,20 @@ impl Transformation {
     }
 }
 
-/// The vertices whose tets tell how a tet can be transformed: those of the tets that share an edge with it, some more than once.
-pub fn vertices_around_tet(mesh: &ImprovementMesh, t: u32) -> impl Iterator<Item = u32> {
+/// Appends the vertices whose tets tell how a tet can be transformed: those of the tets that share an edge with it, some more than once.
+pub fn append_vertices_around_tet(mesh: &ImprovementMesh, t: u32, vertices: &mut Vec<u32>) {
     let tet = mesh.tets[t as usize];
-    let shares_edge = move |n: &&u32| mesh.tets[**n as usize].iter().filter(|v| tet.contains(v)).count() >= 2;
-    let beside = tet.into_iter().flat_map(|v| mesh.ball(v)).filter(shares_edge);
-    beside.flat_map(|n| mesh.tets[*n as usize])
+    vertices.extend(tet);
+    for (corner, v) in tet.into_iter().enumerate() {
+        mesh.for_each_row(mesh.ball(v), |_, row| {
+            let is_shared = row.map(|w| tet.contains(&w));
+            // At its first corner in `tet` only.
+            let is_first = tet[..corner].iter().all(|w| !row.contains(w));
+            if is_first && is_shared.iter().filter(|is_shared| **is_shared).count() >= 2 {
+                vertices.extend(row.into_iter().zip(is_shared).filter(|(_, is_shared)| !is_shared).map(|(w, _)| w));
+            }
+        });
+    }
 }
 
 /// Lowest score of tets of one label, also where that is the scaffold's.

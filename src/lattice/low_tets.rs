@@ -1,11 +1,13 @@
 //! Tets of low score are raised one after another: their vertices are optimised, then a local transformation is made.
 //!
 //! # Method
-//! The tets are gone through by classes from the worst, within a class along the mesh: what is near is in the cache. At each:
+//! The tets are gone through by classes from the worst, within a class along the mesh in strides
+//! ([`spread_over_batches`]): neighbours are not worked on at once, but what is near is in the cache still. At each:
 //! 1. Its vertices go where the lowest score around them is higher ([`better_place`]); those on a surface only if asked.
 //! 2. If it is low still, the first local transformation that gains is made ([`Transformation`]).
 //!
-//! What is done first at each tet is planned for many at once ([`change_in_order`]); most plans are that nothing helps.
+//! One step at a time is planned for many tets at once ([`change_in_order`]); a tet of which a vertex moved has its turn again, for the
+//! vertices that are left.
 //!
 //! # Source
 //! [KlingnerShewchuk2007] for the schedule.
@@ -20,8 +22,8 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::lattice::element_score::{Ball, Threshold};
 use crate::lattice::improvement_mesh::{ImprovementMesh, numbers_where};
-use crate::lattice::local_transformations::{Transformation, TransformationCounts, vertices_around_tet};
-use crate::lattice::planned_batches::{PlannedChange, Touched, change_in_order};
+use crate::lattice::local_transformations::{Transformation, TransformationCounts, append_vertices_around_tet};
+use crate::lattice::planned_batches::{PlannedChange, Touched, change_in_order, spread_over_batches};
 use crate::lattice::vertex_optimization::better_place;
 
 /// Width of a class of tets that are worked on in the order of their numbers, degrees.
@@ -88,9 +90,20 @@ pub fn raise_low_tets(
     counts: Option<&mut TransformationCounts>,
     context: &RunContext,
 ) -> Result<()> {
-    low.sort_unstable_by_key(|(score, t)| ((score.max(0.0) / SCORE_CLASS) as u32, *t));
-    let tets: Vec<u32> = low.into_iter().map(|(_, t)| t).collect();
+    let class_of = |(score, _): &(f64, u32)| (score.max(0.0) / SCORE_CLASS) as u32;
+    low.sort_unstable_by_key(|scored| (class_of(scored), scored.1));
+    let classes = low.chunk_by(|one, next| class_of(one) == class_of(next));
+    let tets: Vec<LowTet> =
+        classes.flat_map(spread_over_batches).map(|(_, tet)| LowTet { tet, first_corner: 0 }).collect();
     change_in_order(mesh, &tets, &mut Raising { effort: *effort, counts }, context)
+}
+
+/// A tet that is to be raised.
+#[derive(Debug, Clone, Copy)]
+struct LowTet {
+    tet: u32,
+    /// Those of its corners before this one had their chance to move.
+    first_corner: usize,
 }
 
 /// The work on low tets.
@@ -107,19 +120,24 @@ enum Step {
     Transform(Transformation),
 }
 
-impl Raising<'_> {
-    /// The first step that helps a tet, if it is low.
-    fn first_step(&self, mesh: &ImprovementMesh, t: u32, ball: &mut Ball) -> Option<Step> {
-        let is_low = mesh.is_live(t) && mesh.score(t) < self.effort.wanted;
-        if is_low { self.step_from(mesh, t, 0, ball) } else { None }
+impl PlannedChange for Raising<'_> {
+    type Item = LowTet;
+    type Plan = Option<Step>;
+
+    fn append_vertices(&self, mesh: &ImprovementMesh, low: &LowTet, vertices: &mut Vec<u32>) {
+        if mesh.is_live(low.tet) {
+            append_vertices_around_tet(mesh, low.tet, vertices);
+        }
     }
 
-    /// The first step at its corners from the given one on, or after them.
-    fn step_from(&self, mesh: &ImprovementMesh, t: u32, corner: usize, ball: &mut Ball) -> Option<Step> {
+    fn plan(&self, mesh: &ImprovementMesh, low: &LowTet, ball: &mut Ball) -> Option<Step> {
         let Effort { wanted, surfaces, slack } = self.effort;
-        let tet = mesh.tets[t as usize];
+        if !(mesh.is_live(low.tet) && mesh.score(low.tet) < wanted) {
+            return None;
+        }
+        let tet = mesh.tets[low.tet as usize];
         let may_move = |v: u32| !mesh.fixed[v as usize] && (surfaces == Surfaces::MayYield || !mesh.is_on_surface(v));
-        for (corner, v) in tet.into_iter().enumerate().skip(corner).filter(|(_, v)| may_move(*v)) {
+        for (corner, v) in tet.into_iter().enumerate().skip(low.first_corner).filter(|(_, v)| may_move(*v)) {
             let place = mesh.points[v as usize];
             mesh.gather(v, ball);
             let (better, _) = better_place(mesh, place, mesh.sides(v), [wanted, slack], ball);
@@ -127,38 +145,29 @@ impl Raising<'_> {
                 return Some(Step::Move(corner, better));
             }
         }
-        let may_transform = self.counts.is_some() && mesh.score(t) < wanted;
-        let transformation = may_transform.then(|| Transformation::plan(mesh, t, slack, ball)).flatten();
+        let transformation = self.counts.as_ref().and_then(|_| Transformation::plan(mesh, low.tet, slack, ball));
         transformation.map(Step::Transform)
     }
-}
 
-impl PlannedChange for Raising<'_> {
-    type Item = u32;
-    type Plan = Option<Step>;
-
-    fn vertices_of(&self, mesh: &ImprovementMesh, t: &u32) -> impl Iterator<Item = u32> {
-        // A slot that was emptied needs no plan, one that was filled anew has corners that were touched.
-        Some(*t).filter(|t| mesh.is_live(*t)).into_iter().flat_map(|t| vertices_around_tet(mesh, t))
-    }
-
-    fn plan(&self, mesh: &ImprovementMesh, t: &u32) -> Option<Step> {
-        self.first_step(mesh, *t, &mut Ball::default())
-    }
-
-    fn change(&mut self, mesh: &mut ImprovementMesh, t: &u32, plan: Option<Option<Step>>, touched: &mut Touched) {
-        if !mesh.is_live(*t) {
-            return;
-        }
-        let mut step = plan.unwrap_or_else(|| mesh.with_scratch(|mesh, ball| self.first_step(mesh, *t, ball)));
-        while let Some(Step::Move(corner, place)) = step {
-            let v = mesh.tets[*t as usize][corner];
-            touched.mark(mesh, v);
-            mesh.move_vertex(v, place);
-            step = mesh.with_scratch(|mesh, ball| self.step_from(mesh, *t, corner + 1, ball));
-        }
-        if let (Some(Step::Transform(transformation)), Some(counts)) = (step, self.counts.as_deref_mut()) {
-            transformation.make(mesh, touched, counts);
+    fn change(
+        &mut self,
+        mesh: &mut ImprovementMesh,
+        low: &LowTet,
+        plan: Option<Step>,
+        touched: &mut Touched,
+    ) -> Option<LowTet> {
+        match plan? {
+            Step::Move(corner, place) => {
+                let v = mesh.tets[low.tet as usize][corner];
+                touched.mark(mesh, v);
+                mesh.move_vertex(v, place);
+                Some(LowTet { first_corner: corner + 1, ..*low })
+            }
+            Step::Transform(transformation) => {
+                let counts = self.counts.as_deref_mut()?;
+                transformation.make(mesh, touched, counts);
+                None
+            }
         }
     }
 }

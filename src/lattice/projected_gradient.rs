@@ -446,11 +446,12 @@ fn totals_of(bricks: &Bricks, terms: &[u32], rates: [f32; 3]) -> Vec<Brick> {
     let mut totals = vec![[[0.0; WIDTH]; TERMS]; terms.len() / WIDTH];
     for slot in &bricks.slots {
         let at = *slot as usize;
-        for (neighbors, rate) in bricks.neighbors(*slot).into_iter().zip(rates) {
-            for (term, totals) in totals[at / WIDTH].iter_mut().enumerate() {
-                let common = neighbors.into_iter().filter(|other| terms[at] & terms[*other] & 1 << term != 0).count();
-                totals[at % WIDTH] += common as f32 * rate;
-            }
+        let axes = bricks.neighbors(*slot).into_iter().zip(rates);
+        for (term, of_brick) in totals[at / WIDTH].iter_mut().enumerate() {
+            let of_axis = |(neighbors, rate): ([usize; 2], f32)| {
+                neighbors.into_iter().filter(|other| terms[at] & terms[*other] & 1 << term != 0).count() as f32 * rate
+            };
+            of_brick[at % WIDTH] = axes.clone().map(of_axis).sum();
         }
     }
     totals

@@ -97,23 +97,26 @@ impl PlannedChange for Sweep {
     type Item = [u32; 2];
     type Plan = Plan;
 
-    fn vertices_of(&self, _: &ImprovementMesh, edge: &[u32; 2]) -> impl Iterator<Item = u32> {
-        edge.iter().copied()
+    fn append_vertices(&self, _: &ImprovementMesh, edge: &[u32; 2], vertices: &mut Vec<u32>) {
+        vertices.extend(edge);
     }
 
-    fn plan(&self, mesh: &ImprovementMesh, edge: &[u32; 2]) -> Plan {
+    fn plan(&self, mesh: &ImprovementMesh, edge: &[u32; 2], ball: &mut Ball) -> Plan {
         let contraction = contraction_of(mesh, *edge, self.wanted);
         let is_moved = contraction == Contraction::Refused && self.others == Uncontracted::Lengthen;
         let may_move = |v: &u32| is_moved && !self.tried.contains(v);
-        let places = edge.map(|v| Some(v).filter(may_move).and_then(|v| better_place(mesh, v, self.wanted)));
+        let places = edge.map(|v| Some(v).filter(may_move).and_then(|v| better_place(mesh, v, self.wanted, ball)));
         Plan { contraction, places }
     }
 
-    fn change(&mut self, mesh: &mut ImprovementMesh, edge: &[u32; 2], plan: Option<Plan>, touched: &mut Touched) {
-        let contraction =
-            plan.as_ref().map_or_else(|| contraction_of(mesh, *edge, self.wanted), |plan| plan.contraction);
-        match contraction {
-            Contraction::Gone => (),
+    fn change(
+        &mut self,
+        mesh: &mut ImprovementMesh,
+        edge: &[u32; 2],
+        plan: Plan,
+        touched: &mut Touched,
+    ) -> Option<[u32; 2]> {
+        match plan.contraction {
             Contraction::Merge(from, to) => {
                 touched.mark(mesh, from);
                 merge_into(mesh, from, to);
@@ -121,27 +124,34 @@ impl PlannedChange for Sweep {
                 self.touched.extend(edge);
             }
             Contraction::Refused if self.others == Uncontracted::Lengthen => {
-                self.move_apart(mesh, *edge, plan.map(|plan| plan.places), touched);
+                self.move_apart(mesh, *edge, plan.places, touched);
             }
-            Contraction::Refused => (),
+            Contraction::Gone | Contraction::Refused => (),
         }
+        None
     }
 }
 
 impl Sweep {
-    /// Lengthens an edge by moving its ends to the better places that are planned or looked for now.
+    /// Lengthens an edge by moving its ends to the better places that are planned.
     fn move_apart(
         &mut self,
         mesh: &mut ImprovementMesh,
         edge: [u32; 2],
-        mut planned: Option<[Option<DVec3>; 2]>,
+        planned: [Option<DVec3>; 2],
         touched: &mut Touched,
     ) {
+        let mut is_as_planned = true;
         for (end, v) in edge.into_iter().enumerate() {
             if !self.tried.insert(v) {
                 continue;
             }
-            let target = planned.map_or_else(|| better_place(mesh, v, self.wanted), |places| places[end]);
+            // The second end sees the first one elsewhere once that has moved.
+            let target = if is_as_planned {
+                planned[end]
+            } else {
+                mesh.with_scratch(|mesh, ball| better_place(mesh, v, self.wanted, ball))
+            };
             let from = mesh.points[edge[1 - end] as usize];
             if let Some(place) = target
                 && place.distance_squared(from) > mesh.points[v as usize].distance_squared(from)
@@ -149,8 +159,7 @@ impl Sweep {
                 touched.mark(mesh, v);
                 mesh.move_vertex(v, place);
                 self.touched.push(v);
-                // The other end sees this one elsewhere.
-                planned = None;
+                is_as_planned = false;
             }
         }
     }
@@ -190,13 +199,12 @@ fn contraction_of(mesh: &ImprovementMesh, [a, b]: [u32; 2], wanted: f64) -> Cont
     good.map_or(Contraction::Refused, |(from, to)| Contraction::Merge(from, to))
 }
 
-/// A place for an end of an edge where no score falls below the wanted one that was not below.
-fn better_place(mesh: &ImprovementMesh, v: u32, wanted: f64) -> Option<DVec3> {
-    let mut ball = Ball::default();
+/// A place for an end of an edge where no score falls below the wanted one that was not below; `ball` is a scratch buffer.
+fn better_place(mesh: &ImprovementMesh, v: u32, wanted: f64, ball: &mut Ball) -> Option<DVec3> {
     if mesh.is_on_surface(v) {
-        plan_relaxation(mesh, v, &Threshold::of(wanted), &mut ball)
+        plan_relaxation(mesh, v, &Threshold::of(wanted), ball)
     } else {
-        plan_centering(mesh, v, wanted, &mut ball)
+        plan_centering(mesh, v, wanted, ball)
     }
 }
 
