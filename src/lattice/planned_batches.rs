@@ -193,7 +193,7 @@ mod tests {
             touched.mark(mesh, *v);
             mesh.move_vertex(*v, place);
             // Some go on to the vertices after them.
-            Some(*v + 1).filter(|next| next % 5 > 1)
+            Some(*v + 1).filter(|next| next % 5 > 1 && (*next as usize) < mesh.points.len())
         }
     }
 
