@@ -54,7 +54,7 @@ use crate::lattice::surface_approach::{ApproachBounds, Around, Ways, approach_su
 use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::surface_relabelling::{Causes, RelabellingBounds, relabel_beyond_surface};
 use crate::lattice::surface_spikes::merge_spikes;
-use crate::lattice::vertex_optimization::{plan_inside, plan_relaxation, relax_inside};
+use crate::lattice::vertex_optimization::{plan_inside, plan_relaxation};
 use crate::lattice::volume_offsets::{move_by_offsets, update_offsets};
 use crate::lattice::voxel_cleanup::CleanImage;
 
@@ -344,7 +344,8 @@ pub fn improve(
     for _ in 0..options.laplacian_iterations {
         for v in 0..work.points.len() as u32 {
             context.check_every(VERTICES_PER_CHECK, v as usize)?;
-            relax_inside(&mut work, v, f64::INFINITY);
+            let planned = work.with_scratch(|mesh, ball| plan_inside(mesh, v, f64::INFINITY, ball));
+            planned.into_iter().for_each(|place| work.move_vertex(v, place));
         }
     }
     context.check()?;

@@ -13,7 +13,7 @@
 //! There what lost its reservation goes into the next prefix; here the few that do are planned again at once.
 //!
 //! # Invariants
-//! What a plan reads are the tets of its item's vertices with their labels, the places and sides of the corners of these, and what
+//! What a plan reads are the tets of the vertices that it lists with their labels, the places and sides of the corners of these, and what
 //! never changes. Whoever changes one of them marks the corners of the tets that change or have a corner that moves ([`Touched`]): the
 //! changes are those that one thread would make, in the same order.
 //!

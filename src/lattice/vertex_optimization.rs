@@ -109,27 +109,13 @@ fn around_on_surface(mesh: &ImprovementMesh, v: u32) -> (Option<DVec3>, f64) {
     ((near.len() >= 2).then(|| near.iter().map(at).sum::<DVec3>() / near.len() as f64), reach)
 }
 
-/// Moves an interior vertex towards the mean of its neighbours where that does not lower the lowest score.
-pub fn relax_inside(mesh: &mut ImprovementMesh, v: u32, bound: f64) -> bool {
-    if mesh.fixed[v as usize] || mesh.is_on_surface(v) {
-        return false;
-    }
-    mesh.with_ball(v, |mesh, ball| {
-        let found = place_inside(mesh, v, bound, ball);
-        found.inspect(|place| mesh.move_vertex(v, *place)).is_some()
-    })
-}
-
-/// Plans the move of [`relax_inside`]; `None` where the vertex stays. `ball` is a scratch buffer.
+/// Plans the move of an inner vertex towards the mean of its neighbours where that raises the lowest score, if it is below `bound`.
+/// `None` where it stays. `ball` is a scratch buffer.
 pub fn plan_inside(mesh: &ImprovementMesh, v: u32, bound: f64, ball: &mut Ball) -> Option<DVec3> {
     if mesh.fixed[v as usize] || mesh.is_on_surface(v) {
         return None;
     }
     mesh.gather(v, ball);
-    place_inside(mesh, v, bound, ball)
-}
-
-fn place_inside(mesh: &ImprovementMesh, v: u32, bound: f64, ball: &mut Ball) -> Option<DVec3> {
     let place = mesh.points[v as usize];
     let before = ball.score(place);
     if before >= bound {
