@@ -7,6 +7,7 @@ pub mod gaussian;
 pub mod gradient;
 pub mod grid;
 pub mod interpolation;
+pub mod label_contacts;
 pub mod label_image;
 pub mod morphology;
 pub mod resample;

@@ -9,10 +9,11 @@
 //! 1. Contacts are also found from the other side: six voxels of a label in a cube of 8 whose other two, p and q, are opposite.
 //! 2. Candidates for a contact: each template; both voxels of an edge contact; p or q itself takes a label between them.
 //! 3. A candidate costs how far it takes the Euler number of a label out of the range between the numbers of the label's
-//!    26- and 6-connected voxels in the image. Then counts what it changes of the 26-connected number at all: joining p and
-//!    q keeps it, opening a tunnel elsewhere, or swallowing the last voxel of another label, does not. Where two labels
-//!    cross in one square, one is joined and the other parted, and it is the range that tells which. Then count the
-//!    contacts around afterwards, and the voxels changed.
+//!    26- and 6-connected voxels in the image. Then counts which labels it brings face to face that do not touch near there: it opens
+//!    the wall between them. Then counts what it changes of the 26-connected number at all: joining p and q keeps it, opening a
+//!    tunnel elsewhere, or swallowing the last voxel of another label, does not. Where two labels cross in one square, one is
+//!    joined and the other parted, and it is the range that tells which. Then count the contacts around afterwards, and the
+//!    voxels changed.
 //! 4. One of the cheapest is drawn at random and made; the cubes around the changed voxels are looked at again.
 //!
 //! # Source
@@ -29,16 +30,21 @@
 
 use std::collections::VecDeque;
 
+use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::image::euler_numbers::{corner_contributions, euler_numbers, label_at_corner};
+use crate::image::label_contacts::touch_near;
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
 
 /// Changes per contact that may lower a priority: most contacts need one change; chains of them two or three.
 const BUDGET: u64 = 8;
+
+/// Labels touch near a voxel where they lie face to face within this many voxels along each axis.
+const REACH: i32 = 2;
 
 /// Cubes between two looks at whether the run is cancelled: each tries all candidates for a contact of it.
 const CUBES_PER_CHECK: usize = 64;
@@ -59,6 +65,8 @@ struct Contact {
 struct Cost {
     /// How far the Euler numbers are out of their ranges afterwards, in eighths.
     out_of_range: i64,
+    /// Pairs of labels that lie face to face afterwards and did not near there before: walls that open.
+    opened: usize,
     /// Change of the Euler numbers of the 26-connected labels, absolute, in eighths.
     euler: i64,
     /// The part of it that the 6-connected labels do not show either.
@@ -69,15 +77,24 @@ struct Cost {
     voxels: usize,
 }
 
-/// Removes corner-only and edge-only contacts of labels; returns how many voxels changed.
+/// What the removal of contacts did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RemovedContacts {
+    /// Voxels that took another label.
+    pub voxels: u64,
+    /// Pairs of labels that came face to face where they were apart: walls that were opened, to keep Euler numbers.
+    pub opened: u64,
+}
+
+/// Removes corner-only and edge-only contacts of labels.
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`]; some contacts are left then.
-pub fn remove_contacts(image: &mut LabelImage, seed: u64, context: &RunContext) -> Result<u64> {
+pub fn remove_contacts(image: &mut LabelImage, seed: u64, context: &RunContext) -> Result<RemovedContacts> {
     let mut work = Contacts::new(image, seed, context)?;
     work.budget = BUDGET * work.positions_with_contacts(context)?.len() as u64;
     work.remove_all(context)?;
-    Ok(work.changes)
+    Ok(work.removed)
 }
 
 struct Contacts<'a> {
@@ -87,7 +104,7 @@ struct Contacts<'a> {
     /// How many more changes may lower a priority.
     budget: u64,
     random: u64,
-    changes: u64,
+    removed: RemovedContacts,
     /// Contribution of a corner to the Euler number, in eighths, by which of its eight voxels are set: 26- and 6-connected.
     euler: [[i64; 256]; 2],
     /// By label, in eighths: how far the Euler number of the 26-connected label may change, and how far it has changed.
@@ -109,7 +126,7 @@ impl<'a> Contacts<'a> {
             priority,
             budget: 0,
             random,
-            changes: 0,
+            removed: RemovedContacts { voxels: 0, opened: 0 },
             euler: corner_contributions(),
             allowed: Vec::new(),
             changed_by,
@@ -220,7 +237,8 @@ impl<'a> Contacts<'a> {
         if !self.is_rising(&chosen) {
             self.budget -= 1;
         }
-        self.changes += chosen.len() as u64;
+        self.removed.voxels += chosen.len() as u64;
+        self.removed.opened += cheapest.map_or(0, |cost| cost.opened as u64);
         for (label, [closed, _]) in self.euler_changes(&chosen) {
             self.changed_by[label.index()] += closed;
         }
@@ -285,7 +303,14 @@ impl<'a> Contacts<'a> {
     }
 
     fn cost(&mut self, changes: &[Change]) -> Cost {
-        let mut cost = Cost { out_of_range: 0, euler: 0, unexplained: 0, contacts: 0, voxels: changes.len() };
+        let mut cost = Cost {
+            out_of_range: 0,
+            opened: self.opened_by(changes),
+            euler: 0,
+            unexplained: 0,
+            contacts: 0,
+            voxels: changes.len(),
+        };
         for (label, [closed, open]) in self.euler_changes(changes) {
             let [low, high] = self.allowed[label.index()];
             let now = self.changed_by[label.index()] + closed;
@@ -298,6 +323,30 @@ impl<'a> Contacts<'a> {
         cost.contacts = corners_of(changes).iter().filter(has_contact).count();
         self.apply(&back);
         cost
+    }
+
+    /// How many pairs of labels would lie face to face at changed voxels that do not near these.
+    fn opened_by(&self, changes: &[Change]) -> usize {
+        let size = self.image.grid().size().map(|n| n as i32);
+        let mut pairs: Vec<(IVec3, [Label; 2])> = Vec::new();
+        for (voxel, to) in changes {
+            let at = IVec3::from_array(voxel.map(|x| x as i32));
+            for step in [IVec3::X, IVec3::Y, IVec3::Z].into_iter().flat_map(|step| [step, -step]) {
+                let near = (at + step).to_array();
+                let is_inside = (0..3).all(|axis| (0..size[axis]).contains(&near[axis]));
+                let near = near.map(|x| x as usize);
+                if !is_inside || changes.iter().any(|(voxel, _)| *voxel == near) {
+                    continue;
+                }
+                let other = self.image.at(near[0], near[1], near[2]);
+                if other != *to {
+                    pairs.push((at, [*to, other]));
+                }
+            }
+        }
+        pairs.sort_unstable_by_key(|(at, pair)| (*pair, at.to_array()));
+        pairs.dedup_by_key(|(_, pair)| *pair);
+        pairs.iter().filter(|(at, pair)| !touch_near(self.image, *at, *pair, REACH)).count()
     }
 
     /// What changes would do to the Euler numbers of the labels concerned, 26- and 6-connected, in eighths.
@@ -388,7 +437,7 @@ mod tests {
             let mut labels = image(noise(seed).into_iter().map(|x| (4.0 * x) as u16).collect());
             let mut again = labels.clone();
             let context = context();
-            assert!(remove_contacts(&mut labels, 1, &context).unwrap() > 0);
+            assert!(remove_contacts(&mut labels, 1, &context).unwrap().voxels > 0);
             let left = Contacts::new(&mut labels, 1, &context).unwrap().positions_with_contacts(&context).unwrap();
             assert!(left.is_empty());
             remove_contacts(&mut again, 1, &context).unwrap();
@@ -419,12 +468,35 @@ mod tests {
     }
 
     #[test]
+    fn walls_stay_closed() {
+        // A bent wall of a voxel and a half in several directions; labels 1 and 3 on its sides meet at corners of voxels.
+        let normals = [[1.0, 0.8, 0.6], [0.9, 0.2, -0.5], [0.3, -0.7, 0.8], [0.5, 0.5, 0.9], [1.0, -0.6, 0.1]];
+        let mut changed = 0;
+        for normal in normals.map(|n| DVec3::from(n).normalize()) {
+            let label = |i: usize| {
+                let at = [i % SIZE[0], i / SIZE[0] % SIZE[1], i / SIZE[0] / SIZE[1]].map(|x| x as f64);
+                let p = DVec3::from(at) - DVec3::from(SIZE.map(|n| 0.5 * n as f64));
+                let across = p.dot(normal) + (0.5 * p.dot(DVec3::new(0.8, 0.6, 0.7))).sin();
+                if across.abs() < 0.9 { 2 } else { 1 + 2 * u16::from(across > 0.0) }
+            };
+            let mut labels = image((0..SIZE.iter().product()).map(label).collect());
+            let touch = |labels: &LabelImage| touch_near(labels, IVec3::splat(6), [Label(1), Label(3)], 6);
+            assert!(!touch(&labels));
+            let removed = remove_contacts(&mut labels, 1, &context()).unwrap();
+            changed += removed.voxels;
+            assert_eq!(removed.opened, 0, "{normal}");
+            assert!(!touch(&labels), "{normal}");
+        }
+        assert!(changed > 20, "{changed}");
+    }
+
+    #[test]
     fn labels_keep_the_topology_of_their_26_connected_voxels() {
         let (mut contacts, mut off) = (0, Vec::new());
         for seed in 0..6u64 {
             let before = blobs(seed);
             let mut after = before.clone();
-            contacts += remove_contacts(&mut after, 1, &context()).unwrap();
+            contacts += remove_contacts(&mut after, 1, &context()).unwrap().voxels;
             for label in 1..4 {
                 let ([closed, open], [now, same]) = (euler(&before, label), euler(&after, label));
                 assert_eq!(now, same, "without contacts both readings agree");

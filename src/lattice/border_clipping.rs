@@ -38,7 +38,7 @@ use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::relabel_for_smoothing;
 use crate::lattice::element_score::{Threshold, tet_fails, tet_score};
 use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
-use crate::lattice::interface_topology::InterfaceTopology;
+use crate::lattice::interface_topology::{InterfaceTopology, labels_of};
 use crate::lattice::scaffold::Scaffold;
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
 use crate::mesh::numbering::TET_EDGES;
@@ -248,13 +248,24 @@ impl Clipping {
         relabel_for_smoothing(&mut self.labels, &continued, may_take, context)?;
         let cost = |labels: &[Label], changed: &[u32], to: Label| may_take(labels, changed, to).then_some(0);
         topology.repair(&mut self.labels, None, context, cost)?;
-        // What still pinches needs a change farther inside, or of all its elements at once.
-        topology.repair(&mut self.labels, None, context, |_, changed, _| is_within(changed).then_some(0))?;
+        // What still pinches needs a change farther inside, or of all its elements at once. What pinches elsewhere is left as it is: it
+        // has withstood the carving, or would open a wall.
+        let mut is_near_vertex = vec![false; self.points.len()];
+        let at_border = self.tets.iter().zip(relabels).filter(|(_, relabels)| **relabels);
+        at_border.flat_map(|(tet, _)| tet).for_each(|v| is_near_vertex[*v as usize] = true);
+        let is_near = |e: u32| self.tets[e as usize].iter().any(|v| is_near_vertex[*v as usize]);
+        let may_change_near = |e: u32| is_near(e) && !is_beyond[e as usize];
+        let cost = |changed: &[u32]| changed.iter().all(|e| may_change_near(*e)).then_some(0);
+        topology.repair(&mut self.labels, None, context, |_, changed, _| cost(changed))?;
+        let mut is_candidate = vec![false; self.points.len()];
+        let near = (0..self.tets.len() as u32).filter(|e| is_near(*e)).flat_map(|e| self.tets[e as usize]);
+        near.for_each(|v| is_candidate[v as usize] = true);
+        let is_candidate = |v: u32| is_candidate[v as usize];
         let may_change: Vec<bool> = relabels.iter().zip(is_beyond).map(|(may, beyond)| *may && !beyond).collect();
-        unite_at_pinches(&topology, &mut self.labels, &may_change, context)?;
+        unite_at_pinches(&topology, &mut self.labels, &may_change, is_candidate, context)?;
         // What is left has elements of three labels around it, some of which the border has not reached.
-        let may_change: Vec<bool> = is_beyond.iter().map(|beyond| !beyond).collect();
-        unite_at_pinches(&topology, &mut self.labels, &may_change, context)?;
+        let may_change: Vec<bool> = (0..self.tets.len() as u32).map(may_change_near).collect();
+        unite_at_pinches(&topology, &mut self.labels, &may_change, is_candidate, context)?;
         Ok(())
     }
 
@@ -288,25 +299,23 @@ fn is_piece(topology: &InterfaceTopology, labels: &[Label], elements: &[u32]) ->
     !label.is_background() && touching.all(|e| labels[*e as usize] != label || elements.contains(e))
 }
 
-/// Gives all elements around a pinched vertex that may change one label, where that leaves fewer pinches.
+/// Gives all elements around a pinched vertex that may change one label, where that leaves fewer pinches among some vertices.
 fn unite_at_pinches(
     topology: &InterfaceTopology,
     labels: &mut Vec<Label>,
     may_change: &[bool],
+    is_candidate: impl Fn(u32) -> bool + Sync,
     context: &RunContext,
 ) -> Result<()> {
-    let mut pinched = topology.pinched(labels, context)?;
+    let mut pinched = topology.pinched_among(labels, &is_candidate, context)?;
     for vertex in pinched.clone() {
         let ball = topology.elements_around(&[vertex]);
-        let mut around: Vec<Label> = ball.iter().map(|e| labels[*e as usize]).collect();
-        around.sort_unstable();
-        around.dedup();
-        for label in around {
+        for label in labels_of(&ball, labels) {
             let mut tried = labels.clone();
             ball.iter().filter(|e| may_change[**e as usize]).for_each(|e| tried[*e as usize] = label);
             let may_take = |changed: &[u32]| changed.iter().all(|e| may_change[*e as usize]);
             topology.repair(&mut tried, None, context, |_, changed, _| may_take(changed).then_some(0))?;
-            let left = topology.pinched(&tried, context)?;
+            let left = topology.pinched_among(&tried, &is_candidate, context)?;
             if left.len() < pinched.len() {
                 (*labels, pinched) = (tried, left);
                 break;
@@ -426,6 +435,36 @@ mod tests {
         let farthest = |p: &DVec3| (DVec3::splat(-0.5) - *p).max(*p - high).max_element();
         let beyond = output.mesh.points.iter().map(farthest).fold(f64::MIN, f64::max);
         assert!(beyond < 1e-9, "{beyond}");
+    }
+
+    #[test]
+    fn what_pinches_far_from_the_border_keeps_its_labels() {
+        // Cubes of six tets each within label 1, two of which, of label 2, meet along an edge; a tet at the border x = -0.5.
+        let number = |at: [usize; 3]| VertexId((at[0] + 5 * (at[1] + 5 * at[2])) as u32);
+        let place = |v: usize| DVec3::new((5 + v % 5) as f64, (3 + v / 5 % 5) as f64, (3 + v / 25) as f64);
+        let mut mesh = CandidateMesh { points: (0..125).map(place).collect(), ..CandidateMesh::default() };
+        for cube in (0..64).map(|n| [n % 4, n / 4 % 4, n / 16]) {
+            for axes in [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]] {
+                let mut at = cube;
+                let mut tet = [number(cube); 4];
+                axes.into_iter().zip(&mut tet[1..]).for_each(|(axis, v)| (at[axis] += 1, *v = number(at)).1);
+                if (axes[0] + 1) % 3 != axes[1] {
+                    tet.swap(2, 3);
+                }
+                mesh.tets.push(tet);
+                mesh.tet_labels.push(Label(1 + u16::from([[1, 1, 1], [2, 2, 1]].contains(&cube))));
+            }
+        }
+        mesh.points.extend([[-1.0, 4.0, 4.0], [0.0, 4.0, 4.0], [0.0, 5.0, 4.0], [0.0, 4.0, 5.0]].map(DVec3::from));
+        mesh.tets.push([125, 126, 127, 128].map(VertexId));
+        mesh.tet_labels.push(Label(1));
+        assert!(mesh.tets.iter().all(|t| volume6(t.map(|v| mesh.points[v.index()])) > 0.0));
+        let context = RunContext::with_threads(1).unwrap();
+        let before = mesh.tet_labels.clone();
+        let image = filled();
+        let surface = SubvoxelSurface::new(&image, &context).unwrap();
+        assert_eq!(clip_at_border(&mut mesh, &surface, &context).unwrap(), [0]);
+        assert_eq!(mesh.tet_labels[..384], before[..384]);
     }
 
     #[test]

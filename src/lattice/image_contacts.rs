@@ -16,15 +16,16 @@
 //! # Invariants
 //! A relabelling makes no contact between labels that the image keeps apart there.
 
-use glam::{DVec3, IVec3};
+use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::context::RunContext;
 use crate::error::Result;
+use crate::image::label_contacts;
 use crate::index::Label;
 use crate::lattice::bcc_lattice::{Field, floor_of};
 use crate::lattice::face_adjacency::OUTSIDE;
-use crate::lattice::interface_topology::InterfaceTopology;
+use crate::lattice::interface_topology::{InterfaceTopology, labels_of};
 use crate::lattice::red_green::RedGreenLattice;
 use crate::mesh::numbering::TET_FACES;
 
@@ -96,17 +97,9 @@ impl<'a> ImageContacts<'a> {
         for (at, (e, face)) in apart.into_iter().enumerate() {
             context.check_every(FACES_PER_CHECK, at)?;
             let corners = TET_FACES[face].map(|v| self.tets[e as usize][v]);
-            let Some([one, other]) = sides(e, face) else { continue };
-            let is_wall = |label: &Label| {
-                *label != one && *label != other && touch(e, face, [*label, one]) && touch(e, face, [*label, other])
-            };
-            let mut walls: Vec<Label> =
-                topology.elements_around(&corners).iter().map(|near| labels[*near as usize]).collect();
-            walls.sort_unstable();
-            walls.dedup();
-            walls.retain(is_wall);
-            let joined = |(at, wall): (usize, &Label)| walls[..at].iter().all(|w| touch(e, face, [*w, *wall]));
-            if !walls.is_empty() && walls.iter().enumerate().all(joined) {
+            let Some(pair) = sides(e, face) else { continue };
+            let around = labels_of(&topology.elements_around(&corners), labels);
+            if self.has_wall_between(self.center(e, face), pair, around) {
                 vertices.extend(corners);
             }
         }
@@ -115,11 +108,27 @@ impl<'a> ImageContacts<'a> {
         Ok(vertices)
     }
 
-    /// Whether the image keeps a label apart from that of an element, near its centroid.
-    pub fn keeps_apart(&self, element: u32, labels: &[Label], label: Label) -> bool {
-        let own = labels[element as usize];
-        let center = self.lattice.centroid(&self.tets[element as usize]);
-        own != label && !touch_near(&self.lattice.field, center, [label, own])
+    /// How many of some elements a wall of a label beside them keeps apart from another label, near their centroids.
+    pub fn walled_off(&self, elements: &[u32], labels: &[Label], label: Label) -> usize {
+        let around = labels_of(elements, labels);
+        let is_walled_off = |e: &&u32| {
+            let own = labels[**e as usize];
+            let place = self.lattice.centroid(&self.tets[**e as usize]);
+            own != label
+                && !touch_near(&self.lattice.field, place, [label, own])
+                && self.has_wall_between(place, [label, own], around.clone())
+        };
+        // A wall is a third label.
+        if around.len() < 3 { 0 } else { elements.iter().filter(is_walled_off).count() }
+    }
+
+    /// Whether one of some labels lies between two that do not touch near a place.
+    fn has_wall_between(&self, place: DVec3, pair: [Label; 2], mut around: Vec<Label>) -> bool {
+        let touch = |pair: [Label; 2]| touch_near(&self.lattice.field, place, pair);
+        around.retain(|label| !pair.contains(label) && pair.iter().all(|side| touch([*label, *side])));
+        let walls = around.as_slice();
+        let is_joined = |(at, wall): (usize, &Label)| walls[..at].iter().all(|other| touch([*other, *wall]));
+        !walls.is_empty() && walls.iter().enumerate().all(is_joined)
     }
 
     /// Centroid of a face, local frame, mm.
@@ -132,28 +141,9 @@ impl<'a> ImageContacts<'a> {
 
 /// Whether voxels of two labels lie face to face near a place.
 fn touch_near(field: &Field, place: DVec3, labels: [Label; 2]) -> bool {
-    let image = field.image;
-    let nearest = floor_of(place / image.grid().spacing() + 0.5);
-    // What surrounds the image is background.
-    let label_at = |at: IVec3| {
-        let is_inside = at.cmpge(IVec3::ZERO).all() && at.cmplt(field.size()).all();
-        let offset = || image.grid().offset(at.x as usize, at.y as usize, at.z as usize);
-        if is_inside { image.voxels()[offset()] } else { Label::BACKGROUND }
-    };
-    let touches = |at: IVec3| {
-        let own = label_at(at);
-        let is_other = |step: IVec3| {
-            let other = label_at(at + step);
-            other != own && labels.contains(&other)
-        };
-        labels.contains(&own) && [IVec3::X, IVec3::Y, IVec3::Z].into_iter().any(is_other)
-    };
-    let within = |reach: i32| {
-        let side = || -reach..=reach;
-        side().any(|k| side().any(|j| side().any(|i| touches(nearest + IVec3::new(i, j, k)))))
-    };
+    let nearest = floor_of(place / field.image.grid().spacing() + 0.5);
     // Nearly every contact is close by.
-    within(1) || within(REACH)
+    [1, REACH].into_iter().any(|reach| label_contacts::touch_near(field.image, nearest, labels, reach))
 }
 
 #[cfg(test)]
@@ -219,7 +209,7 @@ mod tests {
             assert!(matches!(cancelled, Err(crate::Error::Cancelled)));
             // The wall is what may stand between.
             let around = topology.elements_around(&breached);
-            let apart = |label: u16| around.iter().filter(|e| contacts.keeps_apart(**e, &labels, Label(label))).count();
+            let apart = |label: u16| contacts.walled_off(&around, &labels, Label(label));
             assert!(apart(1) > 0 && apart(3) > 0 && apart(2) == 0, "{} {} {}", apart(1), apart(2), apart(3));
         });
     }

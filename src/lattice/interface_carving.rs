@@ -11,8 +11,10 @@
 //!    first of all one that leaves them within reach ([`super::euler_ranges`]). Where none does, or some vertices lie far on the
 //!    other side of it, the vertices are filled one by one, as far as that keeps them. Sides do not count where Euler numbers are
 //!    checked afterwards: these are what matters then.
-//! 3. The corners of a breach of a wall ([`super::image_contacts`]) count as pinched; the label of its group is the one that the
-//!    image keeps apart from the fewest of the elements around, which is the wall's.
+//! 3. Before all that, no label is to touch elements that a wall keeps apart from it ([`super::image_contacts`]). Vertices that no label
+//!    fills without that stay pinched: a hole in a wall is worse. Where Euler numbers are checked afterwards these come first, and
+//!    nothing stays pinched.
+//! 4. The corners of a breach of a wall count as pinched; the label that opens none is the wall's.
 //!
 //! ```text
 //!        a                      a
@@ -49,7 +51,7 @@ use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::euler_ranges::{EulerNumbers, EulerRanges, changes_by_filling};
 use crate::lattice::image_contacts::ImageContacts;
-use crate::lattice::interface_topology::InterfaceTopology;
+use crate::lattice::interface_topology::{InterfaceTopology, labels_of};
 use crate::lattice::red_green::{CHANGED, Elements, RedGreenLattice};
 
 /// Groups of pinched vertices between two looks at whether the run is cancelled.
@@ -101,23 +103,13 @@ pub struct Carved {
     pub numbers: Vec<u32>,
 }
 
-/// Vertices whose neighbourhood gets one label.
+/// Vertices whose neighbourhood gets one label: where surfaces are pinched, and the corners of breaches; in order.
 pub struct Pinches {
-    /// All of them, in order.
+    /// All of them.
     pub vertices: Vec<u32>,
-    /// Those of breaches, in order.
-    pub breached: Vec<u32>,
 }
 
 impl Pinches {
-    /// Where surfaces are pinched, and the corners of breaches.
-    pub fn new(mut vertices: Vec<u32>, breached: Vec<u32>) -> Self {
-        vertices.extend(&breached);
-        vertices.sort_unstable();
-        vertices.dedup();
-        Self { vertices, breached }
-    }
-
     /// Those among some vertices.
     ///
     /// # Errors
@@ -130,8 +122,11 @@ impl Pinches {
         context: &RunContext,
     ) -> Result<Self> {
         let contacts = ImageContacts::new(lattice, topology.tets, topology.neighbors);
-        let breached = contacts.breached(labels, topology, &is_candidate, context)?;
-        Ok(Self::new(topology.pinched_among(labels, &is_candidate, context)?, breached))
+        let mut vertices = contacts.breached(labels, topology, &is_candidate, context)?;
+        vertices.extend(topology.pinched_among(labels, &is_candidate, context)?);
+        vertices.sort_unstable();
+        vertices.dedup();
+        Ok(Self { vertices })
     }
 
     /// For each vertex whether it may have to be carved after a carving of these: what had to be before, and the vertices of the
@@ -184,22 +179,25 @@ pub fn choose_fillings(
     context: &RunContext,
 ) -> Result<Fillings> {
     let contacts = ImageContacts::new(lattice, topology.tets, topology.neighbors);
-    let mut choice = Choice { lattice, labels, topology, contacts, pinches, rules };
+    let mut choice = Choice { lattice, labels, topology, contacts, rules };
     let mut fillings = Fillings { label_of: vec![None; topology.vertex_count()] };
     for (at, group) in groups_of(topology, &pinches.vertices).into_iter().enumerate() {
         context.check_every(GROUPS_PER_CHECK, at)?;
         let Some(filled) = choice.filled(&group) else { continue };
-        if (filled.off <= 0 && filled.misplaced == 0) || !choice.may_leave_some(&topology.elements_around(&group)) {
+        let may_leave_some = choice.may_leave_some(&topology.elements_around(&group));
+        let fits = filled.off <= 0 && filled.misplaced == 0 || !may_leave_some;
+        if fits && !filled.opens {
             choice.take(filled, &mut fillings);
             continue;
         }
-        // What a chain of vertices spans may join what lies apart, or lie on both sides of a boundary: one by one, those beside a
-        // filled one in another round.
+        // What a chain of vertices spans may join what lies apart, open a wall, or lie on both sides of a boundary: one by one, those
+        // beside a filled one in another round.
         for v in &group {
             if topology.vertices_of(topology.ball(*v)).iter().any(|near| fillings.has(*near)) {
                 continue;
             }
-            if let Some(filled) = choice.filled(&[*v]).filter(|filled| filled.off <= 0) {
+            let fits = |filled: &Filled| (filled.off <= 0 || !may_leave_some) && !filled.opens;
+            if let Some(filled) = choice.filled(&[*v]).filter(fits) {
                 choice.take(filled, &mut fillings);
             }
         }
@@ -211,6 +209,8 @@ pub fn choose_fillings(
 struct Filled {
     group: Vec<u32>,
     label: Label,
+    /// Whether a wall keeps elements around apart from the label, where that counts.
+    opens: bool,
     /// What the Euler numbers change by, and by how much farther from their ranges they are then.
     changes: Vec<(Label, EulerNumbers)>,
     off: i64,
@@ -220,10 +220,9 @@ struct Filled {
 
 /// What speaks against a label for a group of vertices.
 struct Objections {
-    /// How far Euler numbers would be out of their ranges.
-    off: i64,
-    /// How many elements the image keeps apart from it, at a breach.
-    opened: usize,
+    /// How many elements a wall keeps apart from it, and how far Euler numbers would be out of their ranges; the other way round
+    /// where these are checked.
+    weightiest: [i64; 2],
     /// How many vertices lie beyond its boundary, where that counts.
     misplaced: usize,
 }
@@ -234,23 +233,17 @@ struct Choice<'a> {
     labels: &'a [Label],
     topology: &'a InterfaceTopology<'a>,
     contacts: ImageContacts<'a>,
-    pinches: &'a Pinches,
     rules: FillingRules<'a>,
 }
 
 impl Choice<'_> {
     /// What a group of pinched vertices is to be filled with, all of it or those that have the label; `None` where it stays.
     fn filled(&self, group: &[u32]) -> Option<Filled> {
-        let Self { labels, topology, contacts, pinches, rules, .. } = self;
+        let Self { labels, topology, contacts, rules, .. } = self;
         let around = topology.elements_around(group);
         if !self.can_halve(&around, 1) {
             return None;
         }
-        let is_breached = group.iter().any(|v| pinches.breached.binary_search(v).is_ok());
-        let opened = |label: Label| {
-            let count = || around.iter().filter(|e| contacts.keeps_apart(**e, labels, label)).count();
-            if is_breached { count() } else { 0 }
-        };
         let misplaced = |group: &[u32], label: Label| match rules.are_checked {
             true => 0,
             false => group.iter().filter(|v| self.lies_beyond(**v, label)).count(),
@@ -260,10 +253,11 @@ impl Choice<'_> {
         let of_group = fillings_of(group);
         let least = if rules.are_checked { i64::MIN } else { 0 };
         let off = |changes: &[_]| rules.euler.as_ref().map_or(0, |euler| euler.distance_after(changes).max(least));
-        let objections = |label: Label| Objections {
-            off: off(&changes_by_filling(&of_group, label)),
-            opened: opened(label),
-            misplaced: misplaced(group, label),
+        let objections = |label: Label| {
+            let opened = contacts.walled_off(&around, labels, label) as i64;
+            let off = off(&changes_by_filling(&of_group, label));
+            let weightiest = if rules.are_checked { [off, opened] } else { [opened, off] };
+            Objections { weightiest, misplaced: misplaced(group, label) }
         };
         let label = label_for(topology, group, &around, labels, rules.regions, objections)?;
         let with_label: Vec<u32> = group.iter().copied().filter(|v| topology.has_label(*v, label, labels)).collect();
@@ -275,7 +269,8 @@ impl Choice<'_> {
             }
             false => (group.to_vec(), changes_by_filling(&of_group, label)),
         };
-        Some(Filled { off: off(&changes), misplaced: misplaced(&group, label), group, label, changes })
+        let opens = !rules.are_checked && contacts.walled_off(&topology.elements_around(&group), labels, label) > 0;
+        Some(Filled { opens, off: off(&changes), misplaced: misplaced(&group, label), group, label, changes })
     }
 
     /// Whether a vertex lies beyond the boundary of a label in the image.
@@ -348,12 +343,10 @@ fn label_for(
     regions: &Regions,
     objections: impl Fn(Label) -> Objections,
 ) -> Option<Label> {
-    let mut candidates: Vec<Label> = around.iter().map(|e| labels[*e as usize]).collect();
-    if group.iter().any(|v| topology.is_open(*v)) {
-        candidates.push(Label::BACKGROUND);
+    let mut candidates = labels_of(around, labels);
+    if group.iter().any(|v| topology.is_open(*v)) && candidates.first() != Some(&Label::BACKGROUND) {
+        candidates.insert(0, Label::BACKGROUND);
     }
-    candidates.sort_unstable();
-    candidates.dedup();
     if !group.iter().all(|v| topology.is_lattice_ball(*v, labels)) {
         candidates = vec![Label::BACKGROUND];
     }
@@ -371,8 +364,8 @@ fn label_for(
     let allowed = candidates.into_iter().filter(|l| !joins_too_much(*l));
     allowed.max_by_key(|l| {
         let is_tissue = !l.is_background();
-        let Objections { off, opened, misplaced } = objections(*l);
-        let against = (Reverse(off), Reverse(opened), Reverse(strangers(*l)), Reverse(misplaced));
+        let Objections { weightiest, misplaced } = objections(*l);
+        let against = (Reverse(weightiest), Reverse(strangers(*l)), Reverse(misplaced));
         (against, is_tissue, score(*l), Reverse(*l))
     })
 }
@@ -511,7 +504,7 @@ mod tests {
         let topology = InterfaceTopology::new(&tets, &neighbors, 63, &context).unwrap();
         let regions = Regions { of_element: labels.iter().map(|l| u32::from(l.0)).collect(), surplus: vec![0; 4] };
         let chosen = |group: &[u32]| {
-            let none = |_| Objections { off: 0, opened: 0, misplaced: 0 };
+            let none = |_| Objections { weightiest: [0; 2], misplaced: 0 };
             label_for(&topology, group, &topology.elements_around(group), &labels, &regions, none)
         };
         let chain: Vec<u32> = (1..6).map(|i| number(i, 1, 1)).collect();
@@ -549,7 +542,7 @@ mod tests {
                     line.iter().filter(|v| topology.has_label(**v, Label(label), &elements.labels)).count()
                 };
                 let near = has(1).max(has(2));
-                let pinches = Pinches::new(line.clone(), Vec::new());
+                let pinches = Pinches { vertices: line.clone() };
                 let rules = FillingRules { regions: &regions, euler: None, are_checked: false, extent };
                 let fillings =
                     choose_fillings(&lattice, &elements.labels, &topology, &pinches, rules, context).unwrap();
@@ -584,7 +577,9 @@ mod tests {
             let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap();
             let topology = topology_of(&lattice, &elements, &neighbors, context);
             let first = Pinches::among(&lattice, &elements.labels, &topology, |_| true, context).unwrap();
-            let counts = [first.breached.len(), first.vertices.len(), lattice.vertices.positions.len()];
+            let contacts = ImageContacts::new(&lattice, &elements.tets, &neighbors);
+            let breached = contacts.breached(&elements.labels, &topology, |_| true, context).unwrap();
+            let counts = [breached.len(), first.vertices.len(), lattice.vertices.positions.len()];
             assert!(counts[0] > 0 && counts[1] > counts[0] && counts[2] > counts[1], "{counts:?}");
             let regions = Regions { of_element: vec![0; elements.tets.len()], surplus: vec![9; 3] };
             let rules =
@@ -601,7 +596,7 @@ mod tests {
             let all = among(&|_| true).unwrap();
             let near = among(&|v| to_see[v as usize]).unwrap();
             assert!(carved.vertices > 0 && to_see.contains(&false) && !all.vertices.is_empty());
-            assert_eq!((near.vertices, near.breached), (all.vertices, all.breached));
+            assert_eq!(near.vertices, all.vertices);
             context.cancel_token().cancel();
             assert!(matches!(among(&|_| true), Err(crate::Error::Cancelled)));
             let chosen = choose_fillings(&lattice, &elements.labels, &topology, &first, rules(), context);
@@ -723,7 +718,7 @@ mod tests {
             assert_eq!(groups_of(&topology, &line).len(), 1);
             let regions = Regions { of_element: vec![0; elements.tets.len()], surplus: vec![0; 3] };
             let rules = FillingRules { regions: &regions, euler: None, are_checked: false, extent: Extent::NearLabel };
-            let pinches = Pinches::new(line.clone(), Vec::new());
+            let pinches = Pinches { vertices: line.clone() };
             let fillings = choose_fillings(&lattice, &elements.labels, &topology, &pinches, rules, context).unwrap();
             let mut filled = [0; 3];
             for (v, label) in line.iter().filter_map(|v| Some((v, fillings.label_of[*v as usize]?))) {

@@ -160,12 +160,10 @@ impl<'a> InterfaceTopology<'a> {
 
     /// Labels in a ball, increasing; background where the ball is open.
     pub(super) fn labels_around(&self, vertex: u32, labels: &[Label]) -> Vec<Label> {
-        let mut around: Vec<Label> = self.ball(vertex).iter().map(|e| labels[*e as usize]).collect();
-        if self.is_open(vertex) {
-            around.push(Label::BACKGROUND);
+        let mut around = labels_of(self.ball(vertex), labels);
+        if self.is_open(vertex) && around.first() != Some(&Label::BACKGROUND) {
+            around.insert(0, Label::BACKGROUND);
         }
-        around.sort_unstable();
-        around.dedup();
         around
     }
 
@@ -478,6 +476,14 @@ pub(super) fn group_count(marks: u128, links: &[[u8; 3]; MOST_COUNTED]) -> usize
         }
     }
     count
+}
+
+/// The labels of some elements, each once, in order.
+pub(super) fn labels_of(elements: &[u32], labels: &[Label]) -> Vec<Label> {
+    let mut found: Vec<Label> = elements.iter().map(|e| labels[*e as usize]).collect();
+    found.sort_unstable();
+    found.dedup();
+    found
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ use crate::context::RunContext;
 use crate::error::{Finding, FindingCode, Result, Severity};
 use crate::image::label_image::LabelImage;
 use crate::image::morphology::{IsolatedKind, relabel_isolated, remove_small_regions, separate_regions, upsample};
-use crate::image::voxel_contacts::remove_contacts;
+use crate::image::voxel_contacts::{RemovedContacts, remove_contacts};
 use crate::index::Label;
 use crate::lattice::options::{IsolatedVoxels, Options};
 use crate::lattice::report::Report;
@@ -60,8 +60,15 @@ pub fn clean<'a>(image: &'a LabelImage, options: &Options, context: &RunContext)
     }
     let before = clean.voxel_counts();
     if options.check_image_topology {
-        let changed = remove_contacts(clean.to_mut(), options.seed, context)?;
+        let RemovedContacts { voxels: changed, opened } = remove_contacts(clean.to_mut(), options.seed, context)?;
         report.set("cleanup.contacts", changed as f64);
+        report.set("cleanup.opened_walls", opened as f64);
+        if opened > 0 {
+            let text = format!(
+                "removing contacts brought labels face to face in {opened} places where others lay between them"
+            );
+            context.report(Finding::new(FindingCode::VoxelsRelabelled, Severity::Warning, text));
+        }
         if changed > 0 {
             let text = format!("{changed} voxels were relabelled to remove contacts at edges and corners");
             let finding = Finding::new(FindingCode::VoxelsRelabelled, Severity::Note, text);
