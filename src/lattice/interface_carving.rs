@@ -184,9 +184,9 @@ pub fn choose_fillings(
     for (at, group) in groups_of(topology, &pinches.vertices).into_iter().enumerate() {
         context.check_every(GROUPS_PER_CHECK, at)?;
         let Some(filled) = choice.filled(&group) else { continue };
-        let may_leave_some = choice.may_leave_some(&topology.elements_around(&group));
-        let fits = filled.off <= 0 && filled.misplaced == 0 || !may_leave_some;
-        if fits && !filled.opens {
+        let fits = filled.off <= 0 && filled.misplaced == 0 && !filled.opens;
+        let may_leave_some = !fits && choice.may_leave_some(&topology.elements_around(&group));
+        if fits || !(may_leave_some || filled.opens) {
             choice.take(filled, &mut fillings);
             continue;
         }

@@ -25,20 +25,25 @@ fn mesh(image: &LabelImage, options: &[(&str, &str)]) -> MixedMesh {
     mesh
 }
 
+/// The tets of a mesh and their neighbours.
+fn adjacency(mesh: &MixedMesh) -> (Vec<[u32; 4]>, Vec<[u32; 4]>) {
+    let tets: Vec<[u32; 4]> = mesh.tets().unwrap().iter().map(|t| t.map(|v| v.index() as u32)).collect();
+    let neighbors = neighbors_of(&tets, mesh.points.len(), &RunContext::with_threads(1).unwrap()).unwrap();
+    (tets, neighbors)
+}
+
 /// Vertices at which the surface of a label pinches.
 fn pinched(mesh: &MixedMesh) -> usize {
-    let tets: Vec<[u32; 4]> = mesh.tets().unwrap().iter().map(|t| t.map(|v| v.index() as u32)).collect();
+    let (tets, neighbors) = adjacency(mesh);
     let labels: Vec<Label> = mesh.labels.iter().map(|l| Label(*l as u16)).collect();
     let context = RunContext::with_threads(1).unwrap();
-    let neighbors = neighbors_of(&tets, mesh.points.len(), &context).unwrap();
     let topology = InterfaceTopology::new(&tets, &neighbors, mesh.points.len(), &context).unwrap();
     topology.pinched(&labels, &context).unwrap().len()
 }
 
 /// Pieces of a label that hang together through faces.
 fn pieces(mesh: &MixedMesh, label: i32) -> usize {
-    let tets: Vec<[u32; 4]> = mesh.tets().unwrap().iter().map(|t| t.map(|v| v.index() as u32)).collect();
-    let neighbors = neighbors_of(&tets, mesh.points.len(), &RunContext::with_threads(1).unwrap()).unwrap();
+    let (tets, neighbors) = adjacency(mesh);
     let mut seen = vec![false; tets.len()];
     let mut count = 0;
     for start in 0..tets.len() {
@@ -62,10 +67,9 @@ fn pieces(mesh: &MixedMesh, label: i32) -> usize {
 
 /// Faces between two labels, 0 for what is outside of the mesh.
 fn faces_between(mesh: &MixedMesh, one: i32, other: i32) -> usize {
-    let tets: Vec<[u32; 4]> = mesh.tets().unwrap().iter().map(|t| t.map(|v| v.index() as u32)).collect();
-    let neighbors = neighbors_of(&tets, mesh.points.len(), &RunContext::with_threads(1).unwrap()).unwrap();
+    let (_, neighbors) = adjacency(mesh);
     let label = |e: u32| if e == u32::MAX { 0 } else { mesh.labels[e as usize] };
-    let of_label = (0..tets.len()).filter(|e| mesh.labels[*e] == one);
+    let of_label = (0..neighbors.len()).filter(|e| mesh.labels[*e] == one);
     of_label.flat_map(|e| neighbors[e]).filter(|near| label(*near) == other).count()
 }
 
