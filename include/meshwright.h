@@ -126,7 +126,7 @@
 /** A sub-mesh has a non-manifold edge or vertex. id: label. */
 #define MW_DIAG_NON_MANIFOLD_MESH 4
 
-/** A sub-mesh has more components than its label. id: label, components. */
+/** A sub-mesh has other components than its label. id: label, how many more, negative where it joins some. */
 #define MW_DIAG_DISCONNECTED_MESH 5
 
 /** Voxels were relabelled by the clean-up. id: label, voxels. */

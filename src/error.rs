@@ -174,7 +174,7 @@ pub enum FindingCode {
     FidelityNotReached = 3,
     /// A sub-mesh has a non-manifold edge or vertex. `ids[0]` label.
     NonManifoldMesh = 4,
-    /// A sub-mesh has more components than its label. `ids[0]` label, `ids[1]` components.
+    /// A sub-mesh has other components than its label. `ids[0]` label, `ids[1]` how many more, negative where it joins some.
     DisconnectedMesh = 5,
     /// Voxels were relabelled by the clean-up. `ids[0]` label, `ids[1]` voxels.
     VoxelsRelabelled = 6,

@@ -139,7 +139,7 @@ pub const MW_DIAG_COMPONENT_LOST: i32 = 2;
 pub const MW_DIAG_FIDELITY_NOT_REACHED: i32 = 3;
 /// A sub-mesh has a non-manifold edge or vertex. id: label.
 pub const MW_DIAG_NON_MANIFOLD_MESH: i32 = 4;
-/// A sub-mesh has more components than its label. id: label, components.
+/// A sub-mesh has other components than its label. id: label, how many more, negative where it joins some.
 pub const MW_DIAG_DISCONNECTED_MESH: i32 = 5;
 /// Voxels were relabelled by the clean-up. id: label, voxels.
 pub const MW_DIAG_VOXELS_RELABELLED: i32 = 6;

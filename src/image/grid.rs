@@ -94,6 +94,13 @@ impl Grid {
         i + self.size[0] * (j + self.size[1] * k)
     }
 
+    /// The voxel at a position in a packed array.
+    #[inline]
+    pub fn voxel_at(&self, offset: usize) -> [usize; 3] {
+        let [ni, nj, _] = self.size;
+        [offset % ni, offset / ni % nj, offset / ni / nj]
+    }
+
     /// World point (LPS mm) of a continuous index in voxels.
     #[inline]
     pub fn index_to_world(&self, index: DVec3) -> DVec3 {

@@ -14,6 +14,7 @@ pub mod resample;
 pub mod scalar_image;
 pub mod simple_voxels;
 pub mod vector_image;
+pub mod voxel_blocks;
 pub mod voxel_contacts;
 pub mod voxel_image;
 pub mod voxel_index;

@@ -10,11 +10,13 @@
 //!    leaves are a few to the closure.
 //! 4. Where surfaces are smoothed, leaves with voxels that smoothing cannot reach are refined ([`super::missed_voxels`]), the
 //!    lattice closed locally around them, and those with voxels that no element of their label is near ([`super::stray_voxels`]).
-//! 5. Where surfaces are smoothed or checked, pinches are relabelled ([`super::interface_topology`]) and what still pinches
+//! 5. Where surfaces are smoothed, refinement goes on for a few rounds where a label is broken ([`super::region_gaps`]) or
+//!    components of one are joined ([`super::region_joints`]).
+//! 6. Where surfaces are smoothed or checked, pinches are relabelled ([`super::interface_topology`]) and what still pinches
 //!    is carved ([`super::interface_carving`]), with the check after a few rounds of refinement there, where a label
 //!    is broken ([`super::region_gaps`]) and where it has other tunnels than the image ([`super::topology_differences`]).
 //!
-//! A relabelling of 3 or 5 gives no two labels a contact that the image does not have ([`super::image_contacts`]).
+//! A relabelling of 3 or 6 gives no two labels a contact that the image does not have ([`super::image_contacts`]).
 //!
 //! # Source
 //! [Drakopoulos2017] 2.3.3.
@@ -42,8 +44,8 @@ use crate::lattice::image_contacts::ImageContacts;
 use crate::lattice::interface_carving::{Carved, Extent, FillingRules, Pinches, carve, choose_fillings};
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::mesh_regions::{
-    component_counts, fill_unseen_regions, joinable_regions, number_by_image, regions_of, relabel_loose_regions,
-    surplus_of,
+    component_counts, fill_unseen_regions, joinable_regions, number_by_image, regions_of, regions_with_background,
+    relabel_loose_regions, surplus_of,
 };
 use crate::lattice::missed_voxels::mark_missed_voxels;
 use crate::lattice::mixed_elements::{self, SurfaceCount};
@@ -51,6 +53,7 @@ use crate::lattice::options::Options;
 use crate::lattice::progress_shares;
 use crate::lattice::red_green::{CHANGED, Elements, RedGreenLattice};
 use crate::lattice::region_gaps::elements_at_gaps;
+use crate::lattice::region_joints::elements_at_joints;
 use crate::lattice::report::Report;
 use crate::lattice::stray_voxels::mark_stray_voxels;
 use crate::lattice::subdivision_criteria::{Deficit, Demands, Targets, finest_level, mark_leaves};
@@ -79,6 +82,9 @@ const FEW_FINE_LEAVES: f64 = 0.01;
 /// Edges shorter than this part of the smallest voxel spacing are shorter than a voxel; those that are meant to be as long as one
 /// can come out a rounding below it.
 const BELOW_A_VOXEL: f64 = 0.9;
+
+/// Rounds that refine where the mesh joins components of a label, or breaks one.
+const PIECE_ROUNDS: u32 = 3;
 
 /// Rounds of carving: a group that may not be filled at first can be once another one has joined or parted its pieces.
 const CARVING_ROUNDS: u32 = 3;
@@ -226,7 +232,8 @@ struct Known {
 impl Rounds<'_> {
     fn run(&mut self, lattice: &mut RedGreenLattice) -> Result<Elements> {
         let finest = finest_level(lattice, self.input.image);
-        let mut topology_rounds = TOPOLOGY_ROUNDS;
+        let is_checked = self.input.region_threshold.is_some();
+        let mut topology_rounds = if is_checked { TOPOLOGY_ROUNDS } else { PIECE_ROUNDS };
         // Missed voxels in the first of these only: on an atlas of brain lobes a second round takes a tenth more time, for 0.573
         // instead of 0.581 voxel from the staircase at 95 % of it.
         let mut stray_rounds = if self.smooths { STRAY_ROUNDS } else { 0 };
@@ -269,6 +276,10 @@ impl Rounds<'_> {
                             .report
                             .timed("marking", || mark_missed_voxels(lattice, &elements, targets, context))?;
                         join(&mut unreached, &missed);
+                        if unreached.contains(&true) {
+                            // What is told apart in a round that comes anyway does not ask for one of its own.
+                            join(&mut unreached, &self.mark_other_pieces(lattice, &elements, &neighbors, finest)?);
+                        }
                     }
                     stray_rounds -= 1;
                     if unreached.contains(&true) {
@@ -277,16 +288,14 @@ impl Rounds<'_> {
                     join(&mut marked, &unreached);
                 }
                 if !marked.contains(&true) {
-                    if self.input.region_threshold.is_some() {
-                        let limit = RefinementLimit { finest, rounds_left: topology_rounds };
-                        topology_rounds = topology_rounds.saturating_sub(1);
+                    let limit = RefinementLimit { finest, rounds_left: topology_rounds };
+                    topology_rounds = topology_rounds.saturating_sub(1);
+                    if is_checked {
                         (marked, found) =
-                            self.make_manifold(lattice, &mut elements, neighbors.clone(), found, &deficit, limit)?;
+                            self.make_manifold(lattice, &mut elements, &mut neighbors, found, &deficit, limit)?;
                     } else if self.smooths {
-                        (found, _) = self.relabel_pinches(lattice, &mut elements, &neighbors, found, &deficit)?;
-                        // No leaf is marked any more: the last use of the neighbours.
-                        let neighbors = std::mem::take(&mut neighbors);
-                        (_, found) = self.carve_pinches(lattice, &mut elements, neighbors, found, None)?;
+                        (marked, found) =
+                            self.keep_pieces(lattice, &mut elements, &mut neighbors, found, &deficit, limit)?;
                     }
                     deficit = self.deficit(&found);
                 }
@@ -464,12 +473,12 @@ impl Rounds<'_> {
     }
 
     /// Relabels loose regions and pinched elements; returns the leaves to refine where that was not enough, and
-    /// the mismatches. When nothing is to be refined any more, what still pinches is carved.
+    /// the mismatches. When nothing is to be refined any more, what still pinches is carved, and the neighbours are gone.
     fn make_manifold(
         &mut self,
         lattice: &mut RedGreenLattice,
         elements: &mut Elements,
-        neighbors: Vec<[u32; 4]>,
+        neighbors: &mut Vec<[u32; 4]>,
         mut found: Vec<Mismatch>,
         before: &Deficit,
         limit: RefinementLimit,
@@ -477,24 +486,23 @@ impl Rounds<'_> {
         let vertices = lattice.vertices.positions.len();
         let unchanged = elements.labels.clone();
         let (threshold, labels) = (self.input.region_threshold.unwrap_or(0.0), self.input.values.len());
-        relabel_loose_regions(lattice, elements, &neighbors, labels, threshold, self.context)?;
+        relabel_loose_regions(lattice, elements, neighbors, labels, threshold, self.context)?;
         let after = self.recount(&found, &unchanged, lattice, elements)?;
         if self.deficit(&after).is_worse_than(before) {
             elements.labels = unchanged;
         } else {
             found = after;
         }
-        let (mut found, mut euler) = self.relabel_pinches(lattice, elements, &neighbors, found, before)?;
-        if let Some(after) = self.fill_unseen(lattice, elements, &neighbors, &found)? {
+        let (mut found, mut euler) = self.relabel_pinches(lattice, elements, neighbors, found, before)?;
+        if let Some(after) = self.fill_unseen(lattice, elements, neighbors, &found)? {
             (found, euler) = (after, None);
         }
         let context = self.context;
-        let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices, context)?;
+        let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices, context)?;
         let pinched = topology.pinched(&elements.labels, context)?;
-        let regions = regions_of(&elements.labels, &neighbors, context)?;
-        let surplus = self.surplus(&regions)?;
         let mut marked = vec![false; lattice.tets.len()];
         if limit.rounds_left > 0 {
+            marked = self.mark_other_pieces(lattice, elements, neighbors, limit.finest)?;
             let mut mark = |e: u32| {
                 let leaf = elements.leaves[e as usize] as usize;
                 marked[leaf] |= u32::from(lattice.levels[leaf]) < limit.finest;
@@ -504,19 +512,70 @@ impl Rounds<'_> {
                 Some(known) => known,
                 None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
             };
-            elements_at_differences(lattice, elements, &neighbors, &known, context)?.into_iter().for_each(&mut mark);
+            elements_at_differences(lattice, elements, neighbors, &known, context)?.into_iter().for_each(&mut mark);
             euler = Some(known);
-            let regions = joinable_regions(elements, &regions, surplus);
-            elements_at_gaps(lattice, elements, &neighbors, &regions, context)?.into_iter().for_each(&mut mark);
         }
         if marked.contains(&true) {
             // A few gaps must not refine the whole lattice.
             lattice.close_locally();
             return Ok((marked, found));
         }
-        let (neighbors, found) = self.carve_pinches(lattice, elements, neighbors, found, euler)?;
+        let (neighbors, found) = self.carve_pinches(lattice, elements, std::mem::take(neighbors), found, euler)?;
         let after = self.fill_unseen(lattice, elements, &neighbors, &found)?;
         Ok((marked, after.unwrap_or(found)))
+    }
+
+    /// Relabels pinched elements; returns the leaves to refine where components of labels are joined or broken, and the mismatches. When
+    /// nothing is to be refined any more, what still pinches is carved, and the neighbours are gone.
+    fn keep_pieces(
+        &mut self,
+        lattice: &mut RedGreenLattice,
+        elements: &mut Elements,
+        neighbors: &mut Vec<[u32; 4]>,
+        found: Vec<Mismatch>,
+        before: &Deficit,
+        limit: RefinementLimit,
+    ) -> Result<(Vec<bool>, Vec<Mismatch>)> {
+        let (mut found, _) = self.relabel_pinches(lattice, elements, neighbors, found, before)?;
+        let mut marked = Vec::new();
+        if limit.rounds_left > 0 {
+            marked = self.mark_other_pieces(lattice, elements, neighbors, limit.finest)?;
+        }
+        if marked.contains(&true) {
+            // A few places must not refine the whole lattice.
+            lattice.close_locally();
+        } else {
+            (_, found) = self.carve_pinches(lattice, elements, std::mem::take(neighbors), found, None)?;
+        }
+        Ok((marked, found))
+    }
+
+    /// Marks the leaves where the mesh joins components of a label that the image keeps apart, or breaks one.
+    fn mark_other_pieces(
+        &mut self,
+        lattice: &RedGreenLattice,
+        elements: &Elements,
+        neighbors: &[[u32; 4]],
+        finest: u32,
+    ) -> Result<Vec<bool>> {
+        let context = self.context;
+        let regions =
+            self.report.timed("topology", || regions_with_background(&elements.labels, neighbors, context))?;
+        let surplus = self.surplus(&regions)?;
+        let components = &self.components;
+        let concerned = self.report.timed("topology", || -> Result<Vec<u32>> {
+            let joints = elements_at_joints(lattice, elements, neighbors, &regions, components, context)?;
+            let regions = joinable_regions(elements, &regions, surplus);
+            Ok([joints, elements_at_gaps(lattice, elements, neighbors, &regions, context)?].concat())
+        })?;
+        let mut marked = vec![false; lattice.tets.len()];
+        for e in concerned {
+            let leaf = elements.leaves[e as usize];
+            let least = self.input.targets.min_size[elements.labels[e as usize].index()];
+            let may_shrink = u32::from(lattice.levels[leaf as usize]) < finest && lattice.leaf_edge(leaf) > 2.0 * least;
+            marked[leaf as usize] |= may_shrink;
+        }
+        Ok(marked)
     }
 
     /// Fills regions without a voxel; returns the mismatches then, where there were such regions.
@@ -536,7 +595,7 @@ impl Rounds<'_> {
     fn surplus(&mut self, regions: &[(Label, Vec<u32>)]) -> Result<Vec<i64>> {
         let in_image = match self.face_components.take() {
             Some(known) => known,
-            None => component_counts(self.input.image, self.input.values.len(), self.context)?,
+            None => component_counts(self.input.image, Connectivity::Face, self.context)?,
         };
         let surplus = surplus_of(regions, &in_image);
         self.face_components = Some(in_image);

@@ -181,6 +181,12 @@ impl<'a> Field<'a> {
         local * self.inverse - COUNTING_SHIFT
     }
 
+    /// The voxel of the image whose centre is nearest.
+    #[inline]
+    pub fn nearest_voxel(&self, local: DVec3) -> IVec3 {
+        self.nearest(local).0
+    }
+
     #[inline]
     fn nearest(&self, local: DVec3) -> (IVec3, bool) {
         let index = floor_of(local * self.inverse + 0.5);

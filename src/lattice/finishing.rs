@@ -24,12 +24,19 @@ use crate::mesh::numbering::{HEX_FACES, PYRAMID_BASE, PYRAMID_TRIANGLES, QUADRAT
 /// Tets per parallel work item.
 const CHUNK: usize = 1 << 14;
 
-/// The mesh in world coordinates with the caller's labels and its boundary.
+/// The mesh in world coordinates with the caller's labels and its boundary; `neighbors` of the tets where they are known and there
+/// is nothing but tets.
 ///
 /// # Errors
 /// [`Error::CapacityExceeded`], [`Error::Internal`] for a mesh that does not conform; [`Error::Cancelled`],
 /// [`Error::LimitReached`].
-pub fn to_world(mesh: &CandidateMesh, grid: &Grid, values: &[i32], context: &RunContext) -> Result<MixedMesh> {
+pub fn to_world(
+    mesh: &CandidateMesh,
+    neighbors: Option<Vec<[u32; 4]>>,
+    grid: &Grid,
+    values: &[i32],
+    context: &RunContext,
+) -> Result<MixedMesh> {
     let mut result = MixedMesh {
         points: mesh.points.par_iter().map(|p| grid.local_to_world(*p)).collect(),
         space: Space::Lps,
@@ -55,14 +62,19 @@ pub fn to_world(mesh: &CandidateMesh, grid: &Grid, values: &[i32], context: &Run
         true => (&[0, 3, 2, 1, 4], &[0, 3, 2, 1, 4, 7, 6, 5]),
     };
     result.connectivity.extend_from_slice(mesh.tets.as_flattened());
+    let mut neighbors = neighbors;
     if mirrored {
         result.connectivity.par_chunks_exact_mut(4).for_each(|tet| tet.swap(2, 3));
+        neighbors.iter_mut().for_each(|rows| rows.par_iter_mut().for_each(|row| row.swap(2, 3)));
     }
     mesh.pyramids.iter().for_each(|p| order(pyramid, p, &mut result.connectivity));
     mesh.hexahedra.iter().for_each(|h| order(hex, h, &mut result.connectivity));
     let labels = mesh.tet_labels.iter().chain(&mesh.pyramid_labels).chain(&mesh.hexahedron_labels);
     result.labels = labels.map(|l| values[l.index()]).collect();
-    result.boundary = boundary_of(&result, context)?;
+    result.boundary = match neighbors {
+        Some(neighbors) => boundary_of_tets(&result, &neighbors)?,
+        None => boundary_of(&result, context)?,
+    };
     Ok(result)
 }
 
@@ -71,12 +83,15 @@ pub fn to_world(mesh: &CandidateMesh, grid: &Grid, values: &[i32], context: &Run
 /// # Errors
 /// [`Error::Internal`] for a mesh that does not conform; [`Error::Cancelled`], [`Error::LimitReached`].
 pub fn boundary_of(mesh: &MixedMesh, context: &RunContext) -> Result<BoundaryFaces> {
-    if mesh.is_all_tets() { boundary_of_tets(mesh, context) } else { boundary_of_mixed(mesh, context) }
+    if !mesh.is_all_tets() {
+        return boundary_of_mixed(mesh, context);
+    }
+    let tets = bytemuck::cast_slice(mesh.tets()?);
+    boundary_of_tets(mesh, &neighbors_of(tets, mesh.points.len(), context)?)
 }
 
-fn boundary_of_tets(mesh: &MixedMesh, context: &RunContext) -> Result<BoundaryFaces> {
+fn boundary_of_tets(mesh: &MixedMesh, neighbors: &[[u32; 4]]) -> Result<BoundaryFaces> {
     let tets: &[[u32; 4]] = bytemuck::cast_slice(mesh.tets()?);
-    let neighbors = neighbors_of(tets, mesh.points.len(), context)?;
     let part = |(chunk, rows): (usize, &[[u32; 4]])| {
         let mut boundary = BoundaryFaces::default();
         for (t, near) in rows.iter().enumerate().map(|(at, near)| (chunk * CHUNK + at, near)) {

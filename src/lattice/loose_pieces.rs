@@ -33,12 +33,12 @@ use crate::error::Result;
 use crate::geometry::tetrahedron::volume6;
 use crate::image::connected_components::{Components, Connectivity, Members};
 use crate::image::label_image::LabelImage;
+use crate::image::voxel_blocks::{box_of, touched_box};
 use crate::index::Label;
 use crate::lattice::border_clipping::Clipping;
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
 use crate::lattice::interface_topology::InterfaceTopology;
-use crate::lattice::lost_components::{box_of, touched_box};
 use crate::lattice::mesh_regions::regions_of;
 
 /// A component of fewer voxels may be lost, and a loose piece of as many is told rather than lost.

@@ -20,6 +20,7 @@ use crate::context::RunContext;
 use crate::error::{Finding, FindingCode, Result, Severity};
 use crate::image::connected_components::{Component, Components, Connectivity, Members};
 use crate::image::label_image::LabelImage;
+use crate::image::voxel_blocks::{VoxelBlocks, box_of, touched_box};
 use crate::index::Label;
 use crate::lattice::candidate_mesh::CandidateMesh;
 
@@ -28,9 +29,6 @@ const LARGEST: u64 = 64;
 
 /// How far from its voxels the elements of a component may be, in voxels: smoothing rounds off a lone element of one voxel.
 const NEAR: f64 = 0.5;
-
-/// Voxels along a block: most elements are in blocks without a small component.
-const BLOCK: u32 = 4;
 
 /// Elements per parallel work item.
 const CHUNK: usize = 4096;
@@ -52,17 +50,13 @@ pub fn find_lost(mesh: &mut CandidateMesh, image: &LabelImage, context: &RunCont
     if sought.is_empty() {
         return Ok(());
     }
-    let counts = image.grid().size().map(|n| n.div_ceil(BLOCK as usize));
-    let number = |[i, j, k]: [u32; 3]| i as usize + counts[0] * (j as usize + counts[1] * k as usize);
-    let mut has_sought = vec![false; counts.iter().product()];
-    sought.keys().for_each(|voxel| has_sought[number(voxel.map(|v| v / BLOCK))] = true);
+    let blocks = VoxelBlocks::new(image.grid().size(), sought.keys().copied());
     let label_of = |c: u32| components.components()[c as usize].label;
     let mut has_small = vec![false; image.label_count()];
     sought.values().for_each(|c| has_small[label_of(*c).index()] = true);
     let seen_by = |(corners, label): ([DVec3; 4], Label)| {
         let [low, high] = touched_box(&corners, image, NEAR);
-        let beside = box_of(low.map(|v| v / BLOCK), high.map(|v| v / BLOCK)).any(|block| has_sought[number(block)]);
-        let voxels = beside.then(|| box_of(low, high)).into_iter().flatten();
+        let voxels = blocks.hold_any([low, high]).then(|| box_of(low, high)).into_iter().flatten();
         let found = voxels.filter_map(|voxel| sought.get(&voxel).copied());
         found.filter(move |c| label_of(*c) == label).collect::<Vec<u32>>()
     };
@@ -98,22 +92,6 @@ pub fn tell_lost(lost: &[Component], image: &LabelImage, values: &[i32], context
         let finding = Finding::new(code, Severity::Warning, text);
         context.report(finding.with_ids(i64::from(value), component.voxels as i64).at(place.to_array()));
     }
-}
-
-/// First and last voxel that the box around some points touches, or comes nearer to than `margin`, in voxels.
-pub fn touched_box(corners: &[DVec3; 4], image: &LabelImage, margin: f64) -> [[u32; 3]; 2] {
-    let grid = image.grid();
-    let last = DVec3::from_array(grid.size().map(|n| n as f64 - 1.0));
-    let places = corners.map(|p| p / grid.spacing());
-    let low = places.into_iter().fold(DVec3::INFINITY, DVec3::min) - margin;
-    let high = places.into_iter().fold(DVec3::NEG_INFINITY, DVec3::max) + margin;
-    [low, high].map(|bound| bound.round().clamp(DVec3::ZERO, last).as_uvec3().to_array())
-}
-
-/// The voxels, or blocks, from a first to a last one.
-pub fn box_of(low: [u32; 3], high: [u32; 3]) -> impl Iterator<Item = [u32; 3]> {
-    let range = move |d: usize| low[d]..=high[d];
-    range(2).flat_map(move |k| range(1).flat_map(move |j| range(0).map(move |i| [i, j, k])))
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ use crate::lattice::face_adjacency::OUTSIDE;
 use crate::lattice::interface_carving::Regions;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
-use crate::lattice::voxel_fidelity::for_each_voxel;
+use crate::lattice::voxel_fidelity::{for_each_component, for_each_voxel};
 
 /// Elements of a region between two looks at whether the run is cancelled: a few milliseconds.
 const ELEMENTS_PER_CHECK: usize = 1 << 16;
@@ -49,10 +49,8 @@ pub fn number_by_image(
 ) -> Result<()> {
     let component_of = |element: u32, own: Label| {
         let mut component = None;
-        for_each_voxel(lattice, &elements.tets[element as usize], |voxel, label| {
-            if label == own && component.is_none() {
-                component = components.component_at(voxel.x as usize, voxel.y as usize, voxel.z as usize);
-            }
+        for_each_component(lattice, &elements.tets[element as usize], own, components, |found| {
+            component = component.or(Some(found));
         });
         component
     };
@@ -66,13 +64,13 @@ pub fn number_by_image(
     Ok(())
 }
 
-/// Components of each label in the image through faces: what its mesh may have at most.
+/// Components of each label in the image; through faces it is what its mesh may have at most, through vertices too at least.
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
-pub fn component_counts(image: &LabelImage, labels: usize, context: &RunContext) -> Result<Vec<i64>> {
-    let mut counts = vec![0; labels];
-    let components = Components::new(image, Connectivity::Face, Members::Foreground, context)?;
+pub fn component_counts(image: &LabelImage, connectivity: Connectivity, context: &RunContext) -> Result<Vec<i64>> {
+    let mut counts = vec![0; image.label_count()];
+    let components = Components::new(image, connectivity, Members::Foreground, context)?;
     components.components().iter().for_each(|c| counts[c.label.index()] += 1);
     Ok(counts)
 }
@@ -91,6 +89,18 @@ pub fn surplus_of(regions: &[(Label, Vec<u32>)], in_image: &[i64]) -> Vec<i64> {
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn regions_of(labels: &[Label], neighbors: &[[u32; 4]], context: &RunContext) -> Result<Vec<(Label, Vec<u32>)>> {
     regions_where(labels, neighbors, context, |label| !label.is_background())
+}
+
+/// Elements connected through faces within one label, the background too.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn regions_with_background(
+    labels: &[Label],
+    neighbors: &[[u32; 4]],
+    context: &RunContext,
+) -> Result<Vec<(Label, Vec<u32>)>> {
+    regions_where(labels, neighbors, context, |_| true)
 }
 
 /// Elements connected through faces within one label that passes.
@@ -144,7 +154,7 @@ pub fn fill_unseen_regions(
     // The background around the lattice has all its voxels beyond it.
     let is_outside =
         |e: &u32| elements.labels[*e as usize].is_background() && neighbors[*e as usize].contains(&OUTSIDE);
-    let regions = regions_where(&elements.labels, neighbors, context, |_| true)?;
+    let regions = regions_with_background(&elements.labels, neighbors, context)?;
     let unseen = context.until_cancelled(regions);
     let unseen = unseen.filter(|(_, region)| !region.iter().any(|e| is_seen(e) || is_outside(e)));
     let unseen: Vec<(Label, Vec<u32>)> = unseen.collect();

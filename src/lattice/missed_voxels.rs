@@ -19,7 +19,7 @@
 //! # Cost
 //! One pass over the elements near boundaries, in parallel.
 
-use glam::{DVec3, IVec3};
+use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::context::RunContext;
@@ -79,7 +79,7 @@ pub fn mark_missed_voxels(
 
 /// Signed distance of a label, mm, interpolated between the corners of an element at the centre of a voxel in it.
 fn straight_distance(lattice: &RedGreenLattice, tet: &[u32; 4], voxel: IVec3, label: Label) -> f64 {
-    let corners: [DVec3; 4] = tet.map(|v| lattice.frame.local(lattice.vertices.positions[v as usize]));
+    let corners = lattice.corners(tet);
     let center = voxel.as_dvec3() * lattice.field.image.grid().spacing();
     let weights = barycentric(corners, center);
     (0..4).map(|i| weights[i] * lattice.field.signed_distance(corners[i], label)).sum()
@@ -92,6 +92,7 @@ mod tests {
     use crate::lattice::options::{Options, PARAMETERS};
     use crate::lattice::test_images::{voxel_image, with_lattice};
     use crate::parameters::ParameterSet;
+    use glam::DVec3;
 
     /// Places of the marked leaves of a lattice with edges of two voxels.
     fn marked_places(image: &LabelImage, option: &str, value: &str) -> Vec<DVec3> {

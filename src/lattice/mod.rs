@@ -9,7 +9,7 @@
 //! 5. Labels by centroid, relabelled so that surfaces can move ([`element_labels`]).
 //! 6. Smoothing ([`smoothing`]): the lattice is cut flat at the image border ([`border_clipping`]), surfaces are pulled to the
 //!    image boundary, elements improved, around what stays bad by a search ([`iterated_search`]).
-//! 7. What the mesh has lost is told ([`lost_components`]), and what it has of another topology ([`topology_findings`]).
+//! 7. What the mesh has lost is told ([`lost_components`]), and what it has of other pieces or of another topology ([`topology_findings`]).
 //! 8. World coordinates, surfaces, mid-edge nodes ([`finishing`]).
 //!
 //! # Source
@@ -59,6 +59,7 @@ pub mod projected_gradient;
 pub mod red_green;
 pub mod red_green_tables;
 pub mod region_gaps;
+pub mod region_joints;
 pub mod report;
 pub mod scaffold;
 pub mod short_edges;
@@ -106,6 +107,7 @@ use crate::image::voxel_image::{VoxelData, VoxelImage};
 use crate::mesh::mixed_mesh::MixedMesh;
 
 use adaptive_refinement::RefinementInput;
+use face_adjacency::neighbors_of;
 use subdivision_criteria::Targets;
 
 pub use candidate_mesh::CandidateMesh;
@@ -173,12 +175,14 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
         report.set("mesh.fixed_points", found as f64);
     }
     let mut output = Output::default();
-    let finish = |candidate: &CandidateMesh| finishing::to_world(candidate, image.grid(), values, context);
+    let finish = |candidate: &CandidateMesh, neighbors: Option<Vec<[u32; 4]>>| {
+        finishing::to_world(candidate, neighbors, image.grid(), values, context)
+    };
     if options.keep_bcc_mesh {
-        output.meshes.push(("bcc_mesh".into(), finish(&candidate)?));
+        output.meshes.push(("bcc_mesh".into(), finish(&candidate, None)?));
     }
     if options.keep_bcc_surface {
-        output.meshes.push(("bcc_surface".into(), finishing::surface_of(&finish(&candidate)?)?));
+        output.meshes.push(("bcc_surface".into(), finishing::surface_of(&finish(&candidate, None)?)?));
     }
     if options.smoothing_iterations > 0 {
         let points = smoothing::smooth(&mut candidate, &clean, options, &mut report, context)?;
@@ -186,14 +190,11 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
         context.check()?;
         report.timed("lost_components", || lost_components::find_lost(&mut candidate, image, context))?;
     }
-    lost_components::tell_lost(&candidate.lost, image, values, context);
-    if options.check_mesh_topology {
-        let pinched = report
-            .timed("topology_findings", || topology_findings::tell_topology(&candidate, image, values, context))?;
-        report.set("topology.pinched_vertices", pinched as f64);
-    }
+    let mut neighbors = tell_differences(&candidate, image, values, options, &mut report, context)?;
     context.progress("finishing", progress_shares::FINISHING);
     if options.mixed_elements {
+        // Neighbours of tets that are no more.
+        neighbors = None;
         let limit = options.max_surface_triangles_on_pyramid;
         let worst = options.min_scaled_jacobian;
         report.timed("mixed_elements", || mixed_elements::merge_cubes(&mut candidate, limit, worst, context))?;
@@ -201,7 +202,7 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
         report.set("mesh.pyramids", candidate.pyramids.len() as f64);
     }
     context.check()?;
-    let mut mesh = report.timed("finishing", || finish(&candidate))?;
+    let mut mesh = report.timed("finishing", || finish(&candidate, neighbors))?;
     context.check()?;
     refuse_empty(&mesh)?;
     if options.keep_smooth_mesh {
@@ -226,6 +227,31 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
     report.set("time.total", begin.elapsed().as_secs_f64());
     output.mesh = mesh;
     Ok((output, report))
+}
+
+/// Tells what the mesh of tets has lost of the image, and where its topology is another, as far as that is asked for; returns the
+/// neighbours of the tets where they had to be known.
+fn tell_differences(
+    mesh: &CandidateMesh,
+    image: &LabelImage,
+    values: &[i32],
+    options: &Options,
+    report: &mut Report,
+    context: &RunContext,
+) -> Result<Option<Vec<[u32; 4]>>> {
+    lost_components::tell_lost(&mesh.lost, image, values, context);
+    let is_checked = options.check_mesh_topology;
+    if options.smoothing_iterations == 0 && !is_checked {
+        return Ok(None);
+    }
+    let neighbors =
+        report.timed("adjacency", || neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len(), context))?;
+    let pinched = report.timed("topology_findings", || {
+        topology_findings::tell_pieces(mesh, &neighbors, image, values, context)?;
+        topology_findings::tell_topology(mesh, &neighbors, image, values, is_checked, context)
+    })?;
+    report.set("topology.pinched_vertices", pinched as f64);
+    Ok(Some(neighbors))
 }
 
 /// Refuses voxels that are much longer than wide.

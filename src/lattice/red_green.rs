@@ -139,6 +139,12 @@ impl<'a> RedGreenLattice<'a> {
         self.frame.origin + 0.25 * self.frame.unit * sum.as_dvec3()
     }
 
+    /// Corners of a tet in the local frame, mm.
+    #[inline]
+    pub fn corners(&self, tet: &[u32; 4]) -> [DVec3; 4] {
+        tet.map(|v| self.frame.local(self.vertices.positions[v as usize]))
+    }
+
     /// Subdivides the marked leaves and whatever conformity asks for.
     ///
     /// # Errors

@@ -25,6 +25,7 @@ use rayon::prelude::*;
 
 use crate::context::RunContext;
 use crate::error::Result;
+use crate::image::voxel_blocks::{VoxelBlocks, touched_box};
 use crate::index::Label;
 use crate::lattice::face_adjacency::with_neighbors;
 use crate::lattice::interface_carving::Regions;
@@ -33,6 +34,9 @@ use crate::lattice::voxel_fidelity::for_each_voxel;
 
 /// Elements per parallel work item.
 const CHUNK: usize = 1024;
+
+/// How far beyond an element voxels may lie that count as in it, at most, in voxels: they are displaced so that none lies on a face.
+const COUNTING_MARGIN: f64 = 1e-5;
 
 /// No region.
 const NONE: u32 = u32::MAX;
@@ -62,10 +66,15 @@ pub fn elements_at_gaps(
         of_voxel[voxel] = region;
         has_voxel[region as usize] = true;
     }
+    let image = lattice.field.image;
     let gaps = gap_voxels(lattice, &mut of_voxel, is_broken, context)?;
+    let blocks =
+        VoxelBlocks::new(image.grid().size(), gaps.iter().map(|v| image.grid().voxel_at(*v).map(|i| i as u32)));
     let touches_gap = |e: &usize| {
-        let mut any = false;
-        for_each_voxel(lattice, &elements.tets[*e], |at, _| any |= gaps.contains(&offset_of(lattice, at)));
+        let (tet, mut any) = (&elements.tets[*e], false);
+        if blocks.hold_any(touched_box(&lattice.corners(tet), image, COUNTING_MARGIN)) {
+            for_each_voxel(lattice, tet, |at, _| any |= gaps.contains(&offset_of(lattice, at)));
+        }
         let region = regions.of_element[*e];
         any || (region != NONE && is_broken(elements.labels[*e]) && !has_voxel[region as usize])
     };
@@ -115,9 +124,8 @@ fn gap_voxels(
     let image = lattice.field.image;
     let (grid, voxels) = (image.grid(), image.voxels());
     let size = IVec3::from_array(grid.size().map(|s| s as i32));
-    let [ni, nj, _] = grid.size();
     let neighbors = |voxel: usize| {
-        let at = IVec3::new((voxel % ni) as i32, (voxel / ni % nj) as i32, (voxel / ni / nj) as i32);
+        let at = IVec3::from_array(grid.voxel_at(voxel).map(|i| i as i32));
         let inside = move |p: &IVec3| p.cmpge(IVec3::ZERO).all() && p.cmplt(size).all();
         let offsets = STEPS.into_iter().map(move |step| at + step).filter(inside);
         let offsets = offsets.map(|p| grid.offset(p.x as usize, p.y as usize, p.z as usize));
@@ -151,6 +159,7 @@ fn gap_voxels(
 mod tests {
     use super::*;
     use crate::context::RunContext;
+    use crate::image::connected_components::Connectivity;
     use crate::image::label_image::LabelImage;
     use crate::lattice::face_adjacency::neighbors_of;
     use crate::lattice::mesh_regions::{component_counts, joinable_regions, regions_of, surplus_of};
@@ -183,7 +192,7 @@ mod tests {
             *label = Label(u16::from(is_in_ball));
         }
         let found = regions_of(&elements.labels, &neighbors, context).unwrap();
-        let surplus = surplus_of(&found, &component_counts(image, 2, context).unwrap());
+        let surplus = surplus_of(&found, &component_counts(image, Connectivity::Face, context).unwrap());
         assert_eq!(surplus[1], 1);
         let regions = joinable_regions(&elements, &found, surplus);
         let marked = elements_at_gaps(&lattice, &elements, &neighbors, &regions, context).unwrap();

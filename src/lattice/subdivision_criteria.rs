@@ -232,7 +232,7 @@ fn misses_boundary(lattice: &RedGreenLattice, tet: &[u32; 4], level: u8, targets
     if is_fine || field.uniform_label(centroid, TET_RADIUS * edge).is_some() {
         return false;
     }
-    let corners = tet.map(|v| lattice.frame.local(lattice.vertices.positions[v as usize]));
+    let corners = lattice.corners(tet);
     let samples = sample_weights(edge / field.voxel_size());
     let place = |weights: &[f64; 4]| (0..4).map(|i| weights[i] * corners[i]).sum::<DVec3>();
     let mut labels: Vec<Label> = tet.iter().map(|v| lattice.vertices.labels[*v as usize]).collect();

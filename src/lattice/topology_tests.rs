@@ -3,6 +3,7 @@
 use glam::DVec3;
 
 use crate::context::RunContext;
+use crate::error::FindingCode;
 use crate::image::euler_numbers::euler_numbers;
 use crate::image::label_image::LabelImage;
 use crate::image::voxel_contacts::remove_contacts;
@@ -115,6 +116,29 @@ fn a_wall_around_winding_vessels_has_no_holes() {
     let result = mesh(&image, &[]);
     assert_eq!(faces_between(&result, 1, 0), 0);
     assert!(faces_between(&result, 1, 2) > 500 && faces_between(&result, 2, 0) > 500);
+}
+
+#[test]
+fn vessels_that_cross_a_voxel_apart_are_not_joined() {
+    // In elements of a voxel and more they are one.
+    let rod = |p: DVec3, from: [f64; 3], to: [f64; 3], radius: f64| {
+        let (from, way) = (DVec3::from(from), DVec3::from(to) - DVec3::from(from));
+        let along = ((p - from).dot(way) / way.length_squared()).clamp(0.0, 1.0);
+        p.distance(from + way * along) < radius
+    };
+    let vessels = image(28, |p| {
+        let is_in_first = rod(p, [13.03, 5.05, 9.632], [14.97, 22.95, 9.632], 3.001);
+        u16::from(is_in_first || rod(p, [21.05, 8.41, 14.05], [6.95, 19.59, 17.74], 2.242))
+    });
+    assert_eq!(pieces(&mesh(&vessels, &[]), 1), 2);
+    // Elements may be kept larger than that: then it is told.
+    let mut set = ParameterSet::new(PARAMETERS);
+    set.set_text("min-element-size", "1").unwrap();
+    let context = RunContext::with_threads(1).unwrap();
+    let (output, _) = super::run(&vessels, &Options::from_parameters(&set).unwrap(), &context).unwrap();
+    assert_eq!(pieces(&output.mesh, 1), 1);
+    let told: Vec<_> = context.take_findings().iter().map(|f| (f.code, f.ids)).collect();
+    assert_eq!(told, [(FindingCode::DisconnectedMesh, [1, -1])]);
 }
 
 #[test]

@@ -164,10 +164,8 @@ pub fn for_each_foreign_voxel(
     mut visit: impl FnMut(IVec3, Label),
 ) {
     let field = &lattice.field;
-    let points = tet.map(|v| lattice.frame.local(lattice.vertices.positions[v as usize]));
-    let centroid = 0.25 * (points[0] + points[1] + points[2] + points[3]);
-    let squared_radius = points.iter().map(|p| p.distance_squared(centroid)).fold(0.0, f64::max);
-    if field.uniform_label(centroid, squared_radius.sqrt()) == Some(label) {
+    let points = lattice.corners(tet);
+    if uniform_label_of(lattice, &points) == Some(label) {
         return;
     }
     let corners = points.map(|p| field.counting_index(p));
@@ -181,6 +179,37 @@ pub fn for_each_foreign_voxel(
             }
         }
     });
+}
+
+/// Calls `visit` with the components, one or more times each, of the voxels of a label in the tet; with the nearest voxel's where
+/// all around the tet are of the label.
+pub fn for_each_component(
+    lattice: &RedGreenLattice,
+    tet: &[u32; 4],
+    own: Label,
+    components: &Components,
+    mut visit: impl FnMut(u32),
+) {
+    let mut visit_at = |at: IVec3| {
+        components.component_at(at.x as usize, at.y as usize, at.z as usize).into_iter().for_each(&mut visit);
+    };
+    let points = lattice.corners(tet);
+    if uniform_label_of(lattice, &points) == Some(own) {
+        visit_at(lattice.field.nearest_voxel(points.iter().sum::<DVec3>() / 4.0));
+    } else {
+        for_each_voxel(lattice, tet, |at, label| {
+            if label == own {
+                visit_at(at);
+            }
+        });
+    }
+}
+
+/// The label that all voxels around a tet of these corners have, where that shows at once.
+fn uniform_label_of(lattice: &RedGreenLattice, points: &[DVec3; 4]) -> Option<Label> {
+    let centroid = 0.25 * (points[0] + points[1] + points[2] + points[3]);
+    let squared_radius = points.iter().map(|p| p.distance_squared(centroid)).fold(0.0, f64::max);
+    lattice.field.uniform_label(centroid, squared_radius.sqrt())
 }
 
 /// Calls `visit(first, last, j, k)` for every row of whole indices inside a positive tet, within `0..size`.

@@ -1,0 +1,195 @@
+//! Where the mesh joins what the image keeps apart: the places to refine until the components of a label part.
+//!
+//! # Method
+//! 1. Regions of labels with several components in the image are gone through for the components of their voxels: the largest
+//!    region of a label only where a component is in none of the others.
+//! 2. In a region with more than one, each element goes by the first component that it has voxels of, those without by a neighbour
+//!    through a face, layer by layer.
+//! 3. Two neighbours with different components are a joint, and so is an element with voxels of two. These and their neighbours
+//!    through faces are refined.
+//!
+//! # Source
+//! Our own: what [`region_gaps`](crate::lattice::region_gaps) is for a label that is broken.
+//!
+//! # Limits
+//! A part of a component that joins the largest region of its label is not seen while another part is a region of its own.
+//!
+//! # Cost
+//! A look at the elements of the smaller regions, most often few; 4 bytes an element where something is joined.
+
+use rayon::prelude::*;
+
+use crate::context::RunContext;
+use crate::error::Result;
+use crate::image::connected_components::Components;
+use crate::index::Label;
+use crate::lattice::face_adjacency::{OUTSIDE, with_neighbors};
+use crate::lattice::red_green::{Elements, RedGreenLattice};
+use crate::lattice::voxel_fidelity::for_each_component;
+
+/// Elements per parallel work item.
+const CHUNK: usize = 1024;
+
+/// No component.
+const NONE: u32 = u32::MAX;
+
+/// The elements at joints of components that the image keeps apart, in increasing order; `regions` are the elements of all labels
+/// that are connected through faces.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn elements_at_joints(
+    lattice: &RedGreenLattice,
+    elements: &Elements,
+    neighbors: &[[u32; 4]],
+    regions: &[(Label, Vec<u32>)],
+    components: &Components,
+    context: &RunContext,
+) -> Result<Vec<u32>> {
+    let joined = joined_regions(lattice, elements, regions, components, context)?;
+    if joined.is_empty() {
+        return Ok(Vec::new());
+    }
+    let labels = &elements.labels;
+    let is_beside = |own: u32, n: &u32| *n != OUTSIDE && labels[*n as usize] == labels[own as usize];
+    let beside = |e: u32| neighbors[e as usize].into_iter().filter(move |n| is_beside(e, n));
+    let (mut of_element, mut unknown, mut joints) = (vec![NONE; labels.len()], Vec::new(), Vec::new());
+    let among: Vec<u32> = joined.iter().flat_map(|(_, region)| region).copied().collect();
+    let found_in = |e: &u32| (*e, components_in(lattice, elements, *e, components));
+    let found: Vec<(u32, Vec<u32>)> = over(&among, context).map(found_in).collect();
+    context.check()?;
+    for (e, found) in found {
+        match found.as_slice() {
+            [] => unknown.push(e),
+            [first, rest @ ..] => {
+                of_element[e as usize] = *first;
+                joints.extend((!rest.is_empty()).then_some(e));
+            }
+        }
+    }
+    loop {
+        // All elements of a layer look at the layers before, whatever their order.
+        let found = |e: &u32| {
+            let near = beside(*e).map(|n| of_element[n as usize]).min();
+            near.filter(|component| *component != NONE).map(|component| (*e, component))
+        };
+        let layer: Vec<(u32, u32)> = over(&unknown, context).filter_map(found).collect();
+        context.check()?;
+        if layer.is_empty() {
+            break;
+        }
+        layer.into_iter().for_each(|(e, component)| of_element[e as usize] = component);
+        unknown.retain(|e| of_element[*e as usize] == NONE);
+    }
+    let meets_other = |e: &&u32| beside(**e).any(|n| of_element[n as usize] != of_element[**e as usize]);
+    joints.par_extend(over(&among, context).filter(meets_other));
+    context.check()?;
+    Ok(with_neighbors(&joints, neighbors))
+}
+
+fn over<'a>(elements: &'a [u32], context: &'a RunContext) -> impl ParallelIterator<Item = &'a u32> {
+    context.until_cancelled(elements.par_iter().with_min_len(CHUNK))
+}
+
+/// The components of an element's own label that it has voxels of, in order.
+fn components_in(lattice: &RedGreenLattice, elements: &Elements, e: u32, components: &Components) -> Vec<u32> {
+    let mut found = Vec::new();
+    let (tet, own) = (&elements.tets[e as usize], elements.labels[e as usize]);
+    for_each_component(lattice, tet, own, components, |component| {
+        if !found.contains(&component) {
+            found.push(component);
+        }
+    });
+    found.sort_unstable();
+    found
+}
+
+/// The regions with voxels of more than one component.
+fn joined_regions<'a>(
+    lattice: &RedGreenLattice,
+    elements: &Elements,
+    regions: &'a [(Label, Vec<u32>)],
+    components: &Components,
+    context: &RunContext,
+) -> Result<Vec<&'a (Label, Vec<u32>)>> {
+    // The components of each label, and its largest region.
+    let labels = lattice.field.image.label_count();
+    let (mut of_label, mut largest) = (vec![Vec::new(); labels], vec![None; labels]);
+    (0u32..).zip(components.components()).for_each(|(c, component)| of_label[component.label.index()].push(c));
+    for (r, (label, region)) in regions.iter().enumerate() {
+        let largest: &mut Option<(usize, usize)> = &mut largest[label.index()];
+        *largest = (*largest).max(Some((region.len(), r)));
+    }
+    let found_in = |region: &[u32]| -> Result<Vec<u32>> {
+        let found = over(region, context).flat_map_iter(|e| components_in(lattice, elements, *e, components));
+        let chunks = found.fold(Vec::new, |mut found: Vec<u32>, component| {
+            if found.last() != Some(&component) {
+                found.push(component);
+            }
+            found
+        });
+        let mut found = chunks.collect::<Vec<Vec<u32>>>().concat();
+        context.check()?;
+        found.sort_unstable();
+        found.dedup();
+        Ok(found)
+    };
+    let (mut joined, mut seen) = (Vec::new(), vec![false; components.components().len()]);
+    for (r, (label, region)) in regions.iter().enumerate() {
+        let is_smaller = largest[label.index()].is_none_or(|(_, largest)| largest != r);
+        if is_smaller && of_label[label.index()].len() > 1 {
+            let found = found_in(region)?;
+            joined.extend((found.len() > 1).then_some(r));
+            found.into_iter().for_each(|component| seen[component as usize] = true);
+        }
+    }
+    for (of_label, largest) in of_label.iter().zip(largest) {
+        let Some((_, r)) = largest else { continue };
+        if of_label.iter().filter(|component| !seen[**component as usize]).count() > 1 {
+            joined.extend((found_in(&regions[r].1)?.len() > 1).then_some(r));
+        }
+    }
+    Ok(joined.into_iter().map(|r| &regions[r]).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::connected_components::{Connectivity, Members};
+    use crate::lattice::face_adjacency::neighbors_of;
+    use crate::lattice::mesh_regions::regions_of;
+    use crate::lattice::test_images::{voxel_image, with_lattice};
+    use glam::{DVec3, Vec3Swizzles};
+
+    /// The middles of what is marked where the elements of two balls, and those on the way between them, have one label.
+    fn marked(gap: f64, half_width: f64) -> (Vec<DVec3>, usize) {
+        let centers = [-1.0, 1.0].map(|side| DVec3::new(15.2 + side * (6.0 + gap / 2.0), 15.3, 15.1));
+        let distance = |p: DVec3| p.distance(centers[0]).min(p.distance(centers[1]));
+        let image = voxel_image(32, |p| if distance(p) < 6.0 { 1 } else { 2 });
+        with_lattice(&image, 2.0, |lattice, context| {
+            let mut elements = lattice.elements(context).unwrap();
+            let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap();
+            let middles: Vec<DVec3> = elements.tets.iter().map(|tet| lattice.centroid(tet)).collect();
+            for (label, middle) in elements.labels.iter_mut().zip(&middles) {
+                let is_between = (middle.x - 15.2).abs() < 6.0 && (*middle - centers[0]).yz().length() < half_width;
+                *label = Label(if is_between || distance(*middle) < 6.0 { 1 } else { 2 });
+            }
+            let components = Components::new(&image, Connectivity::Vertex, Members::All, context).unwrap();
+            let regions = regions_of(&elements.labels, &neighbors, context).unwrap();
+            let marked = elements_at_joints(&lattice, &elements, &neighbors, &regions, &components, context).unwrap();
+            assert!(marked.is_sorted());
+            (marked.into_iter().map(|e| middles[e as usize]).collect(), elements.tets.len())
+        })
+    }
+
+    #[test]
+    fn what_joins_two_balls_is_found_and_nothing_else_is_marked() {
+        for gap in [2.5, 5.0] {
+            let (found, all) = marked(gap, 3.0);
+            assert!(!found.is_empty() && found.len() < all / 20, "{gap}: {} of {all}", found.len());
+            // Layers from both sides meet in the middle.
+            assert!(found.iter().all(|p| (p.x - 15.2).abs() < 3.5), "{gap}: {found:?}");
+            assert!(marked(gap, 0.0).0.is_empty(), "{gap}");
+        }
+    }
+}
