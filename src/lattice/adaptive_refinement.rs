@@ -10,13 +10,12 @@
 //!    leaves are a few to the closure.
 //! 4. Where surfaces are smoothed, leaves with voxels that smoothing cannot reach are refined ([`super::missed_voxels`]), the
 //!    lattice closed locally around them, and those with voxels that no element of their label is near ([`super::stray_voxels`]).
-//! 5. Where surfaces are smoothed, refinement goes on for a few rounds where a label is broken ([`super::region_gaps`]) or
-//!    components of one are joined ([`super::region_joints`]).
-//! 6. Where surfaces are smoothed or checked, pinches are relabelled ([`super::interface_topology`]) and what still pinches
-//!    is carved ([`super::interface_carving`]), with the check after a few rounds of refinement there, where a label
-//!    is broken ([`super::region_gaps`]) and where it has other tunnels than the image ([`super::topology_differences`]).
+//! 5. Where surfaces are smoothed or checked, pinches are relabelled ([`super::interface_topology`]). Then refinement goes on for a
+//!    few rounds where a label is broken ([`super::region_gaps`]) or components of one are joined ([`super::region_joints`]), with
+//!    the check also where pinches are left and where a label has other tunnels than the image ([`super::topology_differences`]).
+//!    What still pinches is carved ([`super::interface_carving`]).
 //!
-//! A relabelling of 3 or 6 gives no two labels a contact that the image does not have ([`super::image_contacts`]).
+//! A relabelling of 3 or 5 gives no two labels a contact that the image does not have ([`super::image_contacts`]).
 //!
 //! # Source
 //! [Drakopoulos2017] 2.3.3.
@@ -83,7 +82,8 @@ const FEW_FINE_LEAVES: f64 = 0.01;
 /// can come out a rounding below it.
 const BELOW_A_VOXEL: f64 = 0.9;
 
-/// Rounds that refine where the mesh joins components of a label, or breaks one.
+/// Rounds that refine where the mesh joins components of a label, or breaks one, without the check. Of 400 images of thin walls around
+/// tubes and random shapes 24 have a label with other pieces than the image without such rounds, 6 with these.
 const PIECE_ROUNDS: u32 = 3;
 
 /// Rounds of carving: a group that may not be filled at first can be once another one has joined or parted its pieces.
@@ -277,7 +277,7 @@ impl Rounds<'_> {
                             .timed("marking", || mark_missed_voxels(lattice, &elements, targets, context))?;
                         join(&mut unreached, &missed);
                         if unreached.contains(&true) {
-                            // What is told apart in a round that comes anyway does not ask for one of its own.
+                            // What a round that comes anyway sets right does not ask for one of its own.
                             join(&mut unreached, &self.mark_other_pieces(lattice, &elements, &neighbors, finest)?);
                         }
                     }

@@ -56,14 +56,14 @@ pub fn elements_at_joints(
     let (mut of_element, mut unknown, mut joints) = (vec![NONE; labels.len()], Vec::new(), Vec::new());
     let among: Vec<u32> = joined.iter().flat_map(|(_, region)| region).copied().collect();
     let found_in = |e: &u32| (*e, components_in(lattice, elements, *e, components));
-    let found: Vec<(u32, Vec<u32>)> = over(&among, context).map(found_in).collect();
+    let found: Vec<(u32, Option<[u32; 2]>)> = over(&among, context).map(found_in).collect();
     context.check()?;
     for (e, found) in found {
-        match found.as_slice() {
-            [] => unknown.push(e),
-            [first, rest @ ..] => {
-                of_element[e as usize] = *first;
-                joints.extend((!rest.is_empty()).then_some(e));
+        match found {
+            None => unknown.push(e),
+            Some([first, last]) => {
+                of_element[e as usize] = first;
+                joints.extend((first != last).then_some(e));
             }
         }
     }
@@ -91,16 +91,14 @@ fn over<'a>(elements: &'a [u32], context: &'a RunContext) -> impl ParallelIterat
     context.until_cancelled(elements.par_iter().with_min_len(CHUNK))
 }
 
-/// The components of an element's own label that it has voxels of, in order.
-fn components_in(lattice: &RedGreenLattice, elements: &Elements, e: u32, components: &Components) -> Vec<u32> {
-    let mut found = Vec::new();
+/// The first and the last of the components of an element's own label that it has voxels of; `None` where it has no voxel of it.
+fn components_in(lattice: &RedGreenLattice, elements: &Elements, e: u32, components: &Components) -> Option<[u32; 2]> {
+    let mut found = None;
     let (tet, own) = (&elements.tets[e as usize], elements.labels[e as usize]);
     for_each_component(lattice, tet, own, components, |component| {
-        if !found.contains(&component) {
-            found.push(component);
-        }
+        let [first, last] = found.unwrap_or([component; 2]);
+        found = Some([first.min(component), last.max(component)]);
     });
-    found.sort_unstable();
     found
 }
 
@@ -121,11 +119,10 @@ fn joined_regions<'a>(
         *largest = (*largest).max(Some((region.len(), r)));
     }
     let found_in = |region: &[u32]| -> Result<Vec<u32>> {
-        let found = over(region, context).flat_map_iter(|e| components_in(lattice, elements, *e, components));
-        let chunks = found.fold(Vec::new, |mut found: Vec<u32>, component| {
-            if found.last() != Some(&component) {
-                found.push(component);
-            }
+        let found = over(region, context).filter_map(|e| components_in(lattice, elements, *e, components));
+        let chunks = found.fold(Vec::new, |mut found: Vec<u32>, [first, last]| {
+            found.extend((found.last() != Some(&first)).then_some(first));
+            found.extend((first != last).then_some(last));
             found
         });
         let mut found = chunks.collect::<Vec<Vec<u32>>>().concat();

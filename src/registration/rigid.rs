@@ -125,10 +125,9 @@ impl Pose {
 }
 
 fn center_of(grid: &Grid, foreground: &[bool]) -> Result<DVec3> {
-    let [ni, nj, _] = grid.size();
     let (mut sum, mut count) = (DVec3::ZERO, 0.0);
     for (at, _) in foreground.iter().enumerate().filter(|(_, inside)| **inside) {
-        sum += DVec3::new((at % ni) as f64, (at / ni % nj) as f64, (at / (ni * nj)) as f64);
+        sum += DVec3::from_array(grid.voxel_at(at).map(|i| i as f64));
         count += 1.0;
     }
     if count == 0.0 {
@@ -334,7 +333,6 @@ fn samples(fixed: &ScalarImage, values: &[f32], foreground: &[bool], options: &R
     let wanted = wanted.clamp(MIN_SAMPLES.min(inside.len()), MAX_SAMPLES).max(1);
     let (low, high) = robust_range(values);
     let scale = options.histogram_bins as f32 / (high - low).max(1e-12);
-    let [ni, nj, _] = fixed.grid().size();
     (0..wanted)
         .map(|n| {
             // A jitter from a multiplicative hash keeps the samples off the rows of the grid.
@@ -342,7 +340,7 @@ fn samples(fixed: &ScalarImage, values: &[f32], foreground: &[bool], options: &R
             let room = ((n + 1) * inside.len() / wanted - slot).max(1);
             let hash = (n as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 33;
             let at = inside[slot + hash as usize % room];
-            let index = DVec3::new((at % ni) as f64, (at / ni % nj) as f64, (at / (ni * nj)) as f64);
+            let index = DVec3::from_array(fixed.grid().voxel_at(at).map(|i| i as f64));
             let bin = ((values[at] - low) * scale).clamp(0.0, options.histogram_bins as f32 - 1.0) as u32;
             (fixed.grid().index_to_world(index), bin)
         })
