@@ -179,24 +179,21 @@ impl Column {
 mod tests {
     use super::*;
     use crate::image::grid::Grid;
-    use glam::{DMat3, DVec3};
+    use glam::{DMat3, DVec3, IVec3};
 
     fn brute_force(image: &LabelImage) -> Vec<f32> {
         let [ni, nj, nk] = image.grid().size();
         let spacing = image.grid().spacing();
         let mut result = Vec::new();
-        let positions = |n: usize| (-1..=n as i64).collect::<Vec<_>>();
+        let positions = |n: usize| (-1..=n as i32).collect::<Vec<_>>();
         for (k, j, i) in itertools3(nk, nj, ni) {
             let own = image.at(i, j, k);
             let mut best = f64::INFINITY;
             for &z in &positions(nk) {
                 for &y in &positions(nj) {
                     for &x in &positions(ni) {
-                        let inside = x >= 0 && y >= 0 && z >= 0 && x < ni as i64 && y < nj as i64 && z < nk as i64;
-                        let label =
-                            if inside { image.at(x as usize, y as usize, z as usize) } else { Label::BACKGROUND };
-                        if label != own {
-                            let step = DVec3::new((x - i as i64) as f64, (y - j as i64) as f64, (z - k as i64) as f64);
+                        if image.at_or_background(IVec3::new(x, y, z)) != own {
+                            let step = (IVec3::new(x, y, z) - IVec3::new(i as i32, j as i32, k as i32)).as_dvec3();
                             best = best.min((step * spacing).length());
                         }
                     }

@@ -10,6 +10,7 @@
 //! # Invariants
 //! Where no two voxels of a label touch only along an edge or at a corner, and none of the rest do, both numbers agree.
 
+use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::context::RunContext;
@@ -56,10 +57,8 @@ pub fn euler_numbers(image: &LabelImage, context: &RunContext) -> Result<Vec<[i6
 /// `corner`; background outside of the image.
 pub fn label_at_corner(image: &LabelImage, corner: &[usize; 3], side: usize) -> Label {
     let step = [side & 1, side >> 1 & 1, side >> 2];
-    let voxel: [usize; 3] = std::array::from_fn(|axis| (corner[axis] + step[axis]).wrapping_sub(1));
-    let size = image.grid().size();
-    let is_inside = (0..3).all(|axis| voxel[axis] < size[axis]);
-    if is_inside { image.at(voxel[0], voxel[1], voxel[2]) } else { Label::BACKGROUND }
+    let voxel: [i32; 3] = std::array::from_fn(|axis| (corner[axis] + step[axis]) as i32 - 1);
+    image.at_or_background(IVec3::from_array(voxel))
 }
 
 /// What a corner adds to the 26- and the 6-connected Euler number, in eighths, by which of its eight voxels are set: closed

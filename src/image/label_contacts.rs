@@ -13,16 +13,10 @@ use crate::index::Label;
 
 /// Whether voxels of two labels lie face to face, one of them within `reach` voxels along each axis.
 pub fn touch_near(image: &LabelImage, place: IVec3, labels: [Label; 2], reach: i32) -> bool {
-    let size = IVec3::from_array(image.grid().size().map(|n| n as i32));
-    let label_at = |at: IVec3| {
-        let is_inside = at.cmpge(IVec3::ZERO).all() && at.cmplt(size).all();
-        let offset = || image.grid().offset(at.x as usize, at.y as usize, at.z as usize);
-        if is_inside { image.voxels()[offset()] } else { Label::BACKGROUND }
-    };
     let touches = |at: IVec3| {
-        let own = label_at(at);
+        let own = image.at_or_background(at);
         let is_other = |step: IVec3| {
-            let other = label_at(at + step);
+            let other = image.at_or_background(at + step);
             other != own && labels.contains(&other)
         };
         labels.contains(&own) && [IVec3::X, IVec3::Y, IVec3::Z].into_iter().any(is_other)

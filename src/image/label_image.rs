@@ -10,6 +10,7 @@
 //! # Limits
 //! At most 65535 labels beside the background.
 
+use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
@@ -104,5 +105,13 @@ impl LabelImage {
     #[inline]
     pub fn at(&self, i: usize, j: usize, k: usize) -> Label {
         self.voxels[self.grid.offset(i, j, k)]
+    }
+
+    /// The label of a voxel that may lie outside of the image, in the background that surrounds it.
+    #[inline]
+    pub fn at_or_background(&self, voxel: IVec3) -> Label {
+        let size = IVec3::from_array(self.grid.size().map(|n| n as i32));
+        let is_inside = voxel.cmpge(IVec3::ZERO).all() && voxel.cmplt(size).all();
+        if is_inside { self.at(voxel.x as usize, voxel.y as usize, voxel.z as usize) } else { Label::BACKGROUND }
     }
 }

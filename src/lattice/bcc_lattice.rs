@@ -256,9 +256,7 @@ impl<'a> Field<'a> {
             let step = IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2);
             let along = |d: usize| if step[d] == 1 { fraction[d] } else { 1.0 - fraction[d] };
             let weight = along(0) * along(1) * along(2);
-            let index = base + step;
-            let is_inside = index.cmpge(IVec3::ZERO).all() && index.cmplt(self.size).all();
-            let label = if is_inside { self.image.voxels()[self.offset(index)] } else { Label::BACKGROUND };
+            let label = self.image.at_or_background(base + step);
             match shares[..count].iter_mut().find(|(l, _)| *l == label) {
                 Some((_, share)) => *share += weight,
                 None => {

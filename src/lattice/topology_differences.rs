@@ -111,9 +111,7 @@ struct Body<'a> {
 
 impl Body<'_> {
     fn has(&self, at: IVec3) -> bool {
-        let size = IVec3::from_array(self.image.grid().size().map(|s| s as i32));
-        let is_inside = at.cmpge(IVec3::ZERO).all() && at.cmplt(size).all();
-        is_inside && self.image.at(at.x as usize, at.y as usize, at.z as usize) == self.label
+        self.image.at_or_background(at) == self.label
     }
 
     /// Of the voxels in which the body and its goal differ, those that cannot follow.
