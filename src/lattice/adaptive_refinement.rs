@@ -503,16 +503,14 @@ impl Rounds<'_> {
         let mut marked = vec![false; lattice.tets.len()];
         if limit.rounds_left > 0 {
             marked = self.mark_other_pieces(lattice, elements, neighbors, limit.finest)?;
-            let mut mark = |e: u32| {
-                let leaf = elements.leaves[e as usize] as usize;
-                marked[leaf] |= u32::from(lattice.levels[leaf]) < limit.finest;
-            };
-            topology.elements_around(&pinched).into_iter().for_each(&mut mark);
+            let around = topology.elements_around(&pinched);
+            self.mark_refinable(lattice, elements, &around, limit.finest, &mut marked);
             let known = match euler {
                 Some(known) => known,
                 None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
             };
-            elements_at_differences(lattice, elements, neighbors, &known, context)?.into_iter().for_each(&mut mark);
+            let differing = elements_at_differences(lattice, elements, neighbors, &known, context)?;
+            self.mark_refinable(lattice, elements, &differing, limit.finest, &mut marked);
             euler = Some(known);
         }
         if marked.contains(&true) {
@@ -569,13 +567,25 @@ impl Rounds<'_> {
             Ok([joints, elements_at_gaps(lattice, elements, neighbors, &regions, context)?].concat())
         })?;
         let mut marked = vec![false; lattice.tets.len()];
-        for e in concerned {
+        self.mark_refinable(lattice, elements, &concerned, finest, &mut marked);
+        Ok(marked)
+    }
+
+    /// Marks the leaves of some elements that may be refined: coarser than the finest, with children of the least size of their label.
+    fn mark_refinable(
+        &self,
+        lattice: &RedGreenLattice,
+        elements: &Elements,
+        concerned: &[u32],
+        finest: u32,
+        marked: &mut [bool],
+    ) {
+        for &e in concerned {
             let leaf = elements.leaves[e as usize];
             let least = self.input.targets.min_size[elements.labels[e as usize].index()];
             let may_shrink = u32::from(lattice.levels[leaf as usize]) < finest && lattice.leaf_edge(leaf) > 2.0 * least;
             marked[leaf as usize] |= may_shrink;
         }
-        Ok(marked)
     }
 
     /// Fills regions without a voxel; returns the mismatches then, where there were such regions.

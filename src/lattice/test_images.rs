@@ -28,14 +28,16 @@ pub fn spaced_image(size: [usize; 3], spacing: DVec3, label: impl Fn(DVec3) -> u
     LabelImage::new(grid, voxels, (0..=labels).collect()).unwrap()
 }
 
+/// Distance to the segment between two places, mm.
+pub fn segment_distance(p: DVec3, [from, to]: [[f64; 3]; 2]) -> f64 {
+    let (from, way) = (DVec3::from(from), DVec3::from(to) - DVec3::from(from));
+    p.distance(from + way * ((p - from).dot(way) / way.length_squared()).clamp(0.0, 1.0))
+}
+
 /// Distance to a fork of three rods that go from one place to `ends`, mm, negative inside.
 pub fn fork_distance(p: DVec3, ends: [[f64; 3]; 3], radius: f64) -> f64 {
-    let fork = DVec3::new(18.9, 17.4, 18.7);
-    let along = |end: DVec3| {
-        let (way, q) = (end - fork, p - fork);
-        (q - way * (q.dot(way) / way.length_squared()).clamp(0.0, 1.0)).length() - radius
-    };
-    ends.map(|end| along(DVec3::from(end))).into_iter().fold(f64::INFINITY, f64::min)
+    let rods = ends.map(|end| segment_distance(p, [[18.9, 17.4, 18.7], end]) - radius);
+    rods.into_iter().fold(f64::INFINITY, f64::min)
 }
 
 /// Calls `work` with the coarsest lattice of an image, and a context of one thread.

@@ -11,7 +11,7 @@ use crate::index::Label;
 use crate::lattice::face_adjacency::neighbors_of;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::options::{Options, PARAMETERS};
-use crate::lattice::test_images::voxel_image as image;
+use crate::lattice::test_images::{segment_distance, voxel_image as image};
 use crate::mesh::mixed_mesh::MixedMesh;
 use crate::mesh::validation::check_mixed_mesh;
 use crate::parameters::ParameterSet;
@@ -121,15 +121,9 @@ fn a_wall_around_winding_vessels_has_no_holes() {
 #[test]
 fn vessels_that_cross_a_voxel_apart_are_not_joined() {
     // In elements of a voxel and more they are one.
-    let rod = |p: DVec3, from: [f64; 3], to: [f64; 3], radius: f64| {
-        let (from, way) = (DVec3::from(from), DVec3::from(to) - DVec3::from(from));
-        let along = ((p - from).dot(way) / way.length_squared()).clamp(0.0, 1.0);
-        p.distance(from + way * along) < radius
-    };
-    let vessels = image(28, |p| {
-        let is_in_first = rod(p, [13.03, 5.05, 9.632], [14.97, 22.95, 9.632], 3.001);
-        u16::from(is_in_first || rod(p, [21.05, 8.41, 14.05], [6.95, 19.59, 17.74], 2.242))
-    });
+    let rods =
+        [([[13.03, 5.05, 9.632], [14.97, 22.95, 9.632]], 3.001), ([[21.05, 8.41, 14.05], [6.95, 19.59, 17.74]], 2.242)];
+    let vessels = image(28, |p| u16::from(rods.iter().any(|(ends, radius)| segment_distance(p, *ends) < *radius)));
     assert_eq!(pieces(&mesh(&vessels, &[]), 1), 2);
     // Elements may be kept larger than that: then it is told.
     let mut set = ParameterSet::new(PARAMETERS);
@@ -144,9 +138,7 @@ fn vessels_that_cross_a_voxel_apart_are_not_joined() {
 #[test]
 fn a_vessel_in_a_thin_wall_keeps_volumes_and_topology_with_both_checks() {
     // A wall of 1.4 voxels touches itself and lets the vessel touch the background at edges and corners of voxels all along.
-    let (from, to) = (DVec3::new(6.2, 7.1, 5.4), DVec3::new(17.3, 14.9, 24.2));
-    let along = |p: DVec3| ((p - from).dot(to - from) / (to - from).length_squared()).clamp(0.0, 1.0);
-    let vessel = image(30, |p| match p.distance(from + (to - from) * along(p)) {
+    let vessel = image(30, |p| match segment_distance(p, [[6.2, 7.1, 5.4], [17.3, 14.9, 24.2]]) {
         d if d < 2.1 => 1,
         d if d < 3.5 => 2,
         _ => 0,

@@ -106,7 +106,7 @@ fn tell(changed: &[u64], image: &LabelImage, what: &str, name: &str, report: &mu
 mod tests {
     use super::*;
     use crate::lattice::options::PARAMETERS;
-    use crate::lattice::test_images::voxel_image;
+    use crate::lattice::test_images::{segment_distance, voxel_image};
     use crate::parameters::ParameterSet;
     use glam::DVec3;
 
@@ -126,16 +126,13 @@ mod tests {
         // Vessels that cross, in a wall of 1.6 voxels: where it touches itself and them at edges and corners of voxels only, none of its
         // Euler numbers that the image has is left without a hole.
         let vessels = [
-            ([8.22, 19.91, 7.84], [24.77, 21.06, 9.79], 3.465),
-            ([14.71, 15.93, 17.02], [23.42, 14.34, 20.09], 2.568),
-            ([17.31, 29.0, 17.78], [7.14, 10.1, 26.38], 2.665),
-            ([19.57, 15.02, 18.78], [19.94, 29.0, 6.0], 2.03),
+            ([[8.22, 19.91, 7.84], [24.77, 21.06, 9.79]], 3.465),
+            ([[14.71, 15.93, 17.02], [23.42, 14.34, 20.09]], 2.568),
+            ([[17.31, 29.0, 17.78], [7.14, 10.1, 26.38]], 2.665),
+            ([[19.57, 15.02, 18.78], [19.94, 29.0, 6.0]], 2.03),
         ];
-        let beyond = |p: DVec3, (from, to, radius): ([f64; 3], [f64; 3], f64)| {
-            let (from, way) = (DVec3::from(from), DVec3::from(to) - DVec3::from(from));
-            p.distance(from + way * ((p - from).dot(way) / way.length_squared()).clamp(0.0, 1.0)) - radius
-        };
-        let nearest = |p: DVec3| vessels.map(|vessel| beyond(p, vessel)).into_iter().fold(f64::INFINITY, f64::min);
+        let beyond = |p: DVec3| vessels.map(|(ends, radius)| segment_distance(p, ends) - radius);
+        let nearest = |p: DVec3| beyond(p).into_iter().fold(f64::INFINITY, f64::min);
         let (count, warnings) = opened(&voxel_image(36, |p| match nearest(p) {
             d if d < 0.0 => 1,
             d if d < 1.6185 => 2,
