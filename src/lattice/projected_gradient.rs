@@ -134,6 +134,12 @@ impl Bricks {
     }
 }
 
+/// The values of the brick that begins at a slot.
+#[inline]
+fn brick_at<T>(values: &[T], first: usize) -> &[T; WIDTH] {
+    &values.as_chunks().0[first / WIDTH]
+}
+
 /// The values from a slot on.
 #[inline]
 fn lanes<T>(values: &[T], slot: usize) -> &[T; WIDTH] {
@@ -319,12 +325,12 @@ impl<'a> Descent<'a> {
         let (bricks, terms, ahead) = (*bricks, terms.as_slice(), ahead.as_slice());
         bricks.stored(bending).par_chunks_mut(CHUNK / WIDTH).enumerate().for_each(|(chunk, rows)| {
             for (row, (slot, [up, down, far, near, up_far, _])) in rows.iter_mut().zip(bricks.chunk(chunk)) {
-                let own = lanes(ahead, slot);
+                let own = brick_at(ahead, slot);
                 let (x, before_x) = (lanes(ahead, slot + 1), lanes(ahead, slot - 1));
-                let (y, before_y) = (lanes(ahead, up), lanes(ahead, down));
-                let (z, before_z) = (lanes(ahead, far), lanes(ahead, near));
-                let (xy, xz, yz) = (lanes(ahead, up + 1), lanes(ahead, far + 1), lanes(ahead, up_far));
-                let terms = lanes(terms, slot);
+                let (y, before_y) = (brick_at(ahead, up), brick_at(ahead, down));
+                let (z, before_z) = (brick_at(ahead, far), brick_at(ahead, near));
+                let (xy, xz, yz) = (lanes(ahead, up + 1), lanes(ahead, far + 1), brick_at(ahead, up_far));
+                let terms = brick_at(terms, slot);
                 // Loops over lanes become single instructions.
                 let mut differences = [[0.0; WIDTH]; TERMS];
                 for l in 0..WIDTH {
@@ -352,12 +358,16 @@ impl<'a> Descent<'a> {
         bricks.stored(variation).par_chunks_mut(CHUNK / WIDTH).enumerate().for_each(|(chunk, rows)| {
             for (row, (slot, beside)) in rows.iter_mut().zip(bricks.chunk(chunk)) {
                 let [at, up, down, far, near, ..] = brick_numbers(slot, beside);
-                let totals = &totals[at];
+                // Each brick is looked up once for all terms.
+                let (brick, totals) = (&bending[at], &totals[at]);
+                let (brick_after, brick_before) = (&bending[at + 1], &bending[at - 1]);
+                let (brick_up, brick_down) = (&bending[up], &bending[down]);
+                let (brick_far, brick_near) = (&bending[far], &bending[near]);
                 for term in 0..TERMS {
-                    let (own, total) = (&bending[at][term], &totals[term]);
-                    let (x, before_x) = (after(bending, at, term), before(bending, at, term));
-                    let (y, before_y) = (&bending[up][term], &bending[down][term]);
-                    let (z, before_z) = (&bending[far][term], &bending[near][term]);
+                    let (own, total) = (&brick[term], &totals[term]);
+                    let (x, before_x) = (shifted_back(own, &brick_after[term]), shifted_on(own, &brick_before[term]));
+                    let (y, before_y) = (&brick_up[term], &brick_down[term]);
+                    let (z, before_z) = (&brick_far[term], &brick_near[term]);
                     let mut of_term: Lanes = [0.0; WIDTH];
                     for l in 0..WIDTH {
                         let along = rates[0] * (x[l] + before_x[l]) + rates[1] * (y[l] + before_y[l]);
@@ -381,7 +391,7 @@ impl<'a> Descent<'a> {
             for ((slot, beside), (values, ahead)) in bricks.chunk(chunk).zip(places) {
                 let slopes = slopes(slot, beside, terms);
                 // All is read before anything is written, so that the lanes do not wait for each other.
-                let (low, high, own, lead) = (*lanes(low, slot), *lanes(high, slot), *values, *ahead);
+                let (low, high, own, lead) = (*brick_at(low, slot), *brick_at(high, slot), *values, *ahead);
                 let [mut moved, mut changes, mut against, mut next] = [[0.0; WIDTH]; 4];
                 for l in 0..WIDTH {
                     moved[l] = (lead[l] - slopes[l]).max(low[l]).min(high[l]);
@@ -414,15 +424,23 @@ fn brick_numbers(slot: usize, [up, down, far, near, up_far, down_near]: [usize; 
 /// The values one voxel before those of a brick.
 #[inline]
 fn before(bricks: &[Brick], at: usize, term: usize) -> Lanes {
-    let own = &bricks[at][term];
-    [bricks[at - 1][term][WIDTH - 1], own[0], own[1], own[2]]
+    shifted_on(&bricks[at][term], &bricks[at - 1][term])
 }
 
 /// The values one voxel after those of a brick.
 #[inline]
 fn after(bricks: &[Brick], at: usize, term: usize) -> Lanes {
-    let own = &bricks[at][term];
-    [own[1], own[2], own[3], bricks[at + 1][term][0]]
+    shifted_back(&bricks[at][term], &bricks[at + 1][term])
+}
+
+#[inline]
+fn shifted_on(own: &Lanes, before: &Lanes) -> Lanes {
+    [before[WIDTH - 1], own[0], own[1], own[2]]
+}
+
+#[inline]
+fn shifted_back(own: &Lanes, after: &Lanes) -> Lanes {
+    [own[1], own[2], own[3], after[0]]
 }
 
 /// Which second differences have all their voxels, by slot.

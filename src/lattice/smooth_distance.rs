@@ -15,7 +15,8 @@
 //!    that thin rods, balls and walls are not thinned, which bending would do.
 //! 5. Where a label is vessels, tubes fitted to all of their voxels give the distance
 //!    ([`tubular_parts`](crate::lattice::tubular_parts)), within the bounds; the other voxels are worked on beside these.
-//! 6. The values become coefficients of a quadratic B-spline, stored by blocks of 4 x 4 x 4 voxels, evaluated anywhere.
+//! 6. The values become coefficients of a quadratic B-spline, stored by blocks of 4 x 4 x 4 voxels, evaluated anywhere. Each row of a
+//!    block along x has the voxel before and the one after it too, so that the three around a place lie together.
 //! 7. A spline rounds off the crease between two tubes, by a quarter of a voxel and more. Near one the tubes themselves tell the
 //!    distance, with a spline for what the bounds of the voxels changed; its direction stays that of the rounded spline, which leads
 //!    into the crease.
@@ -38,7 +39,7 @@
 //! Every voxel keeps its side up to the order of the spline. The same bits for any number of threads.
 //!
 //! # Cost
-//! About 150 bytes per voxel in the layers of the labels in work, 6 bytes per voxel kept; about 85 passes, up to 430 where voxels are
+//! About 150 bytes per voxel in the layers of the labels in work, 9 bytes per voxel kept; about 85 passes, up to 430 where voxels are
 //! no cubes; 185 and 830 for labels that are smooth. Parallel by labels and by chunks of voxels.
 //!
 //! # Limits
@@ -109,6 +110,15 @@ const NONE: u32 = u32::MAX;
 /// Voxels of a block along an axis.
 const BLOCK: usize = 4;
 
+/// Values of a row of a block along x: the voxel before, its own, the one after.
+const ROW: usize = BLOCK + 2;
+
+/// Values that are read at once: the three around a place, and what follows.
+const LANES: usize = 4;
+
+/// A value for each voxel of a block, and one that may be read with the last three.
+type Block<T> = [T; ROW * BLOCK * BLOCK + 1];
+
 /// Smooth distances of all labels of an image; where there is but one, the background has none of its own.
 #[derive(Debug, Clone, Default)]
 pub struct SmoothDistances {
@@ -125,7 +135,7 @@ struct LabelDistance {
     /// Position of each block in `blocks`, or `NONE`.
     table: Vec<u32>,
     /// Coefficients, mm; not a number where there is none.
-    blocks: Vec<[f32; BLOCK * BLOCK * BLOCK]>,
+    blocks: Vec<Block<f32>>,
     /// The tubes that tell most of it.
     tubes: Option<TubeDistance>,
 }
@@ -138,9 +148,9 @@ struct TubeDistance {
     /// Whether the label is what is outside of the tubes.
     is_outside: bool,
     /// The segment that each voxel is deepest in.
-    deepest: Vec<[u32; BLOCK * BLOCK * BLOCK]>,
+    deepest: Vec<Block<u32>>,
     /// Coefficients of what the bounds of the voxels changed, mm; not a number where the tubes do not tell.
-    corrections: Vec<[f32; BLOCK * BLOCK * BLOCK]>,
+    corrections: Vec<Block<f32>>,
 }
 
 /// The smooth distance of a label at a place.
@@ -196,11 +206,21 @@ impl LabelDistance {
     fn place_of(&self, voxel: [u32; 3]) -> (usize, usize) {
         let at = voxel.map(|v| v as usize);
         let [i, j, k]: [usize; 3] = std::array::from_fn(|d| at[d] / BLOCK - self.first[d]);
-        let inside = at[0] % BLOCK + BLOCK * (at[1] % BLOCK + BLOCK * (at[2] % BLOCK));
+        let inside = 1 + at[0] % BLOCK + ROW * (at[1] % BLOCK + BLOCK * (at[2] % BLOCK));
         (i + self.count[0] * (j + self.count[1] * k), inside)
     }
 
-    /// The blocks that the voxels of a stencil lie in, z first: each voxel's is at its `Stencil::part`. `None` where one is missing.
+    /// The number of the block beside that of a voxel, one step along x; `None` where there is none.
+    fn block_beside(&self, voxel: [u32; 3], step: i32) -> Option<usize> {
+        let along = (voxel[0] as usize / BLOCK - self.first[0]).checked_add_signed(step as isize)?;
+        if along >= self.count[0] {
+            return None;
+        }
+        let block = self.table[self.place_of(voxel).0.wrapping_add_signed(step as isize)];
+        (block != NONE).then_some(block as usize)
+    }
+
+    /// The blocks that the rows of a stencil lie in, z first: each row's is at its `Stencil::part`. `None` where one is missing.
     fn blocks_of(&self, stencil: &Stencil) -> Option<BlockNumbers> {
         let mut low = [0; 3];
         for axis in 0..3 {
@@ -209,17 +229,14 @@ impl LabelDistance {
                 return None;
             }
         }
-        let mut blocks = [[[NONE; 2]; 2]; 2];
+        let mut blocks = [[NONE; 2]; 2];
         for z in 0..=stencil.part[2][2] {
             for y in 0..=stencil.part[1][2] {
-                let row = ((low[2] + z) * self.count[1] + low[1] + y) * self.count[0] + low[0];
-                for x in 0..=stencil.part[0][2] {
-                    let block = self.table[row + x];
-                    if block == NONE {
-                        return None;
-                    }
-                    blocks[z][y][x] = block;
+                let block = self.table[((low[2] + z) * self.count[1] + low[1] + y) * self.count[0] + low[0]];
+                if block == NONE {
+                    return None;
                 }
+                blocks[z][y] = block;
             }
         }
         Some(blocks)
@@ -240,29 +257,30 @@ impl LabelDistance {
     }
 
     fn spline(&self, stencil: &Stencil, blocks: &BlockNumbers) -> Sample {
-        let Stencil { value, slope, .. } = stencil;
-        let (mut sum, mut gradient) = (0.0, DVec3::ZERO);
+        // Sums over the rows for each voxel along x: of the values, and of the slopes along y and z.
+        let [mut values, mut along_y, mut along_z] = [[0.0f32; LANES]; 3];
         for k in 0..3 {
             for j in 0..3 {
-                let (row, inside) = stencil.row(blocks, j, k);
-                let (mut along, mut change) = (0.0, 0.0);
-                for i in 0..3 {
-                    let block = row[stencil.part[0][i]];
-                    let coefficient = f64::from(self.blocks[block as usize][inside + stencil.inside[0][i]]);
-                    along += value[0][i] * coefficient;
-                    change += slope[0][i] * coefficient;
+                let row = stencil.row(&self.blocks, blocks, j, k);
+                let [value, y, z] = stencil.of_row[k][j];
+                for l in 0..LANES {
+                    values[l] += value * row[l];
+                    along_y[l] += y * row[l];
+                    along_z[l] += z * row[l];
                 }
-                let (y, z) = (value[1][j], value[2][k]);
-                sum += y * z * along;
-                gradient += DVec3::new(y * z * change, slope[1][j] * z * along, y * slope[2][k] * along);
             }
         }
-        Sample { value: sum, gradient, outward: None }
+        let sum = |weights: &[f64; 3], [a, b, c, _]: [f32; LANES]| {
+            weights[0] * f64::from(a) + weights[1] * f64::from(b) + weights[2] * f64::from(c)
+        };
+        let Stencil { value, slope, .. } = stencil;
+        let gradient = DVec3::new(sum(slope, values), sum(value, along_y), sum(value, along_z));
+        Sample { value: sum(value, values), gradient, outward: None }
     }
 }
 
-/// Blocks of a label, two along each axis, z first.
-type BlockNumbers = [[[u32; 2]; 2]; 2];
+/// Blocks of a label, two along y and z, z first.
+type BlockNumbers = [[u32; 2]; 2];
 
 /// The three voxels around a place along each axis, and what each counts: the same for all labels.
 #[derive(Debug, Clone, Copy)]
@@ -270,42 +288,61 @@ pub struct Stencil {
     /// The place, voxels, and the size of these, mm.
     place: DVec3,
     spacing: DVec3,
-    /// The block of the first voxel along each axis.
+    /// The block along each axis: along x that of the middle voxel, else that of the first one.
     block: [usize; 3],
-    /// How many blocks after that each voxel's is, 0 or 1, and where the voxel is in it.
+    /// How many blocks after that each voxel's is, 0 or 1, and where the voxel is in it; along x, where its row is read.
     part: [[usize; 3]; 3],
     inside: [[usize; 3]; 3],
-    value: [[f64; 3]; 3],
-    slope: [[f64; 3]; 3],
+    /// What each voxel along x counts for the value and for the slope along x.
+    value: [f64; 3],
+    slope: [f64; 3],
+    /// What each row counts for the value and for the slopes along y and z, z first.
+    of_row: [[[f32; 3]; 3]; 3],
 }
 
 impl Stencil {
     /// The stencil of a place in voxels of an image.
     pub fn around(place: DVec3, size: [usize; 3], spacing: DVec3) -> Self {
+        // The image is continued past its border by its outermost voxels.
+        let end = DVec3::new(size[0] as f64, size[1] as f64, size[2] as f64) - 0.5;
+        let within = place.clamp(DVec3::splat(-0.5), end);
         let mut block = [0; 3];
         let [mut part, mut inside] = [[[0; 3]; 3]; 2];
         let [mut value, mut slope] = [[[0.0; 3]; 3]; 2];
-        let nearest = floor_of(place + 0.5).as_dvec3();
+        let nearest = floor_of(within + 0.5).as_dvec3().min(end - 0.5);
         for axis in 0..3 {
-            let at = place[axis] - nearest[axis];
+            let at = within[axis] - nearest[axis];
             let (low, high) = (0.5 - at, 0.5 + at);
             value[axis] = [0.5 * low * low, 0.75 - at * at, 0.5 * high * high];
             slope[axis] = [-low, -2.0 * at, high].map(|s| s / spacing[axis]);
-            // The image is continued past its border by its outermost voxels.
-            let voxel = |step: f64| ((nearest[axis] + step).max(0.0) as usize).min(size[axis] - 1);
-            let voxels = [voxel(-1.0), voxel(0.0), voxel(1.0)];
+            let middle = nearest[axis] as usize;
+            if axis == 0 {
+                // Rows have the voxels beside those of their block.
+                block[0] = middle / BLOCK;
+                inside[0] = [middle % BLOCK; 3];
+                continue;
+            }
+            let voxels = [middle.saturating_sub(1), middle, (middle + 1).min(size[axis] - 1)];
             block[axis] = voxels[0] / BLOCK;
             part[axis] = voxels.map(|v| v / BLOCK - block[axis]);
             inside[axis] = voxels.map(|v| v % BLOCK);
         }
-        Self { place, spacing, block, part, inside, value, slope }
+        let mut of_row = [[[0.0; 3]; 3]; 3];
+        for k in 0..3 {
+            for j in 0..3 {
+                let (y, z) = (value[1][j], value[2][k]);
+                of_row[k][j] = [(y * z) as f32, (slope[1][j] * z) as f32, (y * slope[2][k]) as f32];
+            }
+        }
+        Self { place, spacing, block, part, inside, value: value[0], slope: slope[0], of_row }
     }
 
-    /// The blocks of a row along x, and where it begins in them.
+    /// What is kept for the three voxels of a row along x, and what follows.
     #[inline]
-    fn row<'a>(&self, blocks: &'a BlockNumbers, j: usize, k: usize) -> (&'a [u32; 2], usize) {
-        let inside = BLOCK * (self.inside[1][j] + BLOCK * self.inside[2][k]);
-        (&blocks[self.part[2][k]][self.part[1][j]], inside)
+    fn row<'a, T>(&self, kept: &'a [Block<T>], blocks: &BlockNumbers, j: usize, k: usize) -> &'a [T; LANES] {
+        let first = self.inside[0][0] + ROW * (self.inside[1][j] + BLOCK * self.inside[2][k]);
+        let block = blocks[self.part[2][k]][self.part[1][j]];
+        kept[block as usize][first..].first_chunk().expect("a value follows the last three")
     }
 }
 
@@ -339,18 +376,14 @@ impl NearSegments {
 impl TubeDistance {
     /// The distance within the bounds of the voxels; `None` where the tubes do not tell.
     fn distance(&self, stencil: &Stencil, blocks: &BlockNumbers) -> Option<DeepestTube> {
-        let value = &stencil.value;
         let mut correction = 0.0;
         let mut segments = NearSegments::default();
         for k in 0..3 {
             for j in 0..3 {
-                let (row, inside) = stencil.row(blocks, j, k);
-                for i in 0..3 {
-                    let (block, place) = (row[stencil.part[0][i]] as usize, inside + stencil.inside[0][i]);
-                    let of_voxel = f64::from(self.corrections[block][place]);
-                    correction += value[0][i] * value[1][j] * value[2][k] * of_voxel;
-                    segments.add(self.deepest[block][place]);
-                }
+                let corrections = stencil.row(&self.corrections, blocks, j, k);
+                let along: f64 = stencil.value.iter().zip(corrections).map(|(value, c)| value * f64::from(*c)).sum();
+                correction += f64::from(stencil.of_row[k][j][0]) * along;
+                stencil.row(&self.deepest, blocks, j, k)[..3].iter().for_each(|segment| segments.add(*segment));
             }
         }
         correction.is_finite().then(|| {
@@ -606,12 +639,13 @@ impl<'a> LabelBand<'a> {
         distance.blocks = self.coefficients(&distance, context, value_of)?;
         if let Some(known) = known {
             let mut corrections = vec![f32::NAN; values.len()];
-            let mut deepest = vec![[0; BLOCK * BLOCK * BLOCK]; distance.blocks.len()];
+            let mut deepest = vec![[0; ROW * BLOCK * BLOCK + 1]; distance.blocks.len()];
             for (n, (voxel, slot)) in self.voxels.iter().zip(self.bricks.slots()).enumerate() {
                 corrections[*slot as usize] = values[*slot as usize] - known.distances[n];
                 let (block, inside) = distance.place_of(*voxel);
                 deepest[distance.table[block] as usize][inside] = known.deepest[n];
             }
+            self.complete_rows(&distance, &mut deepest);
             let correction_of = |slot: usize| Some(corrections[slot]).filter(|c| c.is_finite());
             let corrections = self.coefficients(&distance, context, correction_of)?;
             let TubularDistance { segments, is_outside, .. } = known;
@@ -643,9 +677,9 @@ impl<'a> LabelBand<'a> {
         distance: &LabelDistance,
         context: &RunContext,
         value_of: impl Fn(usize) -> Option<f32>,
-    ) -> Result<Vec<[f32; BLOCK * BLOCK * BLOCK]>> {
+    ) -> Result<Vec<Block<f32>>> {
         let count = distance.table.iter().filter(|block| **block != NONE).count();
-        let mut blocks = vec![[f32::NAN; BLOCK * BLOCK * BLOCK]; count];
+        let mut blocks = vec![[f32::NAN; ROW * BLOCK * BLOCK + 1]; count];
         for (at, (voxel, slot)) in self.voxels.iter().zip(self.bricks.slots()).enumerate() {
             context.check_every(VOXELS_PER_CHECK, at)?;
             let Some(value) = value_of(*slot as usize) else { continue };
@@ -659,7 +693,30 @@ impl<'a> LabelBand<'a> {
             let (block, inside) = distance.place_of(*voxel);
             blocks[distance.table[block] as usize][inside] = coefficient;
         }
+        self.complete_rows(distance, &mut blocks);
         Ok(blocks)
+    }
+
+    /// Gives the rows of all blocks what the voxels before and after them have; past the image, what its outermost ones have.
+    fn complete_rows<T: Copy>(&self, distance: &LabelDistance, blocks: &mut [Block<T>]) {
+        let along = self.image.grid().size()[0] as u32;
+        for voxel in &self.voxels {
+            let (block, inside) = distance.place_of(*voxel);
+            let own = distance.table[block] as usize;
+            let value = blocks[own][inside];
+            for step in [-1, 1] {
+                match voxel[0].checked_add_signed(step).filter(|beside| *beside < along) {
+                    Some(beside) if beside as usize / BLOCK == voxel[0] as usize / BLOCK => {}
+                    Some(_) => {
+                        if let Some(block) = distance.block_beside(*voxel, step) {
+                            // From one end of its row to the other end of that.
+                            blocks[block][inside.wrapping_add_signed(-(BLOCK as isize) * step as isize)] = value;
+                        }
+                    }
+                    None => blocks[own][inside.wrapping_add_signed(step as isize)] = value,
+                }
+            }
+        }
     }
 }
 
@@ -706,6 +763,73 @@ mod tests {
         let grid = image.grid();
         let found = field.sample(Label(label), &Stencil::around(at / grid.spacing(), grid.size(), grid.spacing()))?;
         Some((found.value, found.gradient))
+    }
+
+    #[test]
+    fn samples_are_those_of_a_sum_over_the_voxels_around() {
+        // Labels in disorder that reach the border everywhere; blocks end within the image and at its end.
+        for size in [[11, 9, 10], [12, 8, 7], [3, 5, 1]] {
+            let spacing = DVec3::new(0.8, 1.1, 1.3);
+            let label = |p: DVec3| u16::from((1.3 * p.x).sin() + (0.9 * p.y).cos() + (1.7 * p.z).sin() > 0.4);
+            let image = image(size, spacing, |p| label(p) + u16::from(p.x > 4.0));
+            let field = distances(&image, 1);
+            let weights = |t: f64| [0.5 * (0.5 - t).powi(2), 0.75 - t * t, 0.5 * (0.5 + t).powi(2)];
+            let slopes = |t: f64| [t - 0.5, -2.0 * t, t + 0.5];
+            let (mut known, mut unknown) = (0, 0);
+            for n in 0..4000 {
+                let t = f64::from(n);
+                // Some are beyond the border.
+                let part = DVec3::new((t * 0.61803).fract(), (t * 0.75488).fract(), (t * 0.56984).fract());
+                let place = part * (DVec3::from_array(size.map(|s| s as f64)) + 1.0) - 1.0;
+                let nearest = (place + 0.5).floor();
+                let [w, d] = [weights, slopes].map(|of| (place - nearest).to_array().map(of));
+                for of_label in field.fields.iter().filter(|f| !f.blocks.is_empty()) {
+                    let (mut sum, mut gradient) = (0.0, DVec3::ZERO);
+                    for step in 0..27 {
+                        let s = [step % 3, step / 3 % 3, step / 9];
+                        let voxel: [u32; 3] = std::array::from_fn(|axis| {
+                            (nearest[axis] as i64 + s[axis] as i64 - 1).clamp(0, size[axis] as i64 - 1) as u32
+                        });
+                        let is_stored = (0..3).all(|axis| {
+                            (voxel[axis] as usize / BLOCK)
+                                .checked_sub(of_label.first[axis])
+                                .is_some_and(|at| at < of_label.count[axis])
+                        });
+                        let coefficient = is_stored.then(|| of_label.place_of(voxel)).map(|(block, inside)| {
+                            let block = of_label.table[block];
+                            if block == NONE { f32::NAN } else { of_label.blocks[block as usize][inside] }
+                        });
+                        let coefficient = f64::from(coefficient.unwrap_or(f32::NAN));
+                        let of = |axis: usize, of_axis: &[[f64; 3]; 3]| of_axis[axis][s[axis]];
+                        sum += of(0, &w) * of(1, &w) * of(2, &w) * coefficient;
+                        gradient += DVec3::new(
+                            of(0, &d) * of(1, &w) * of(2, &w),
+                            of(0, &w) * of(1, &d) * of(2, &w),
+                            of(0, &w) * of(1, &w) * of(2, &d),
+                        ) * coefficient;
+                    }
+                    // Without the tubes, which tell more than the spline.
+                    let stencil = Stencil::around(place, size, spacing);
+                    let found = of_label.blocks_of(&stencil).map(|blocks| of_label.spline(&stencil, &blocks));
+                    match found.filter(|found| found.value.is_finite()) {
+                        Some(found) => {
+                            known += 1;
+                            // Rows are summed up in single precision.
+                            assert!((found.value - sum).abs() < 2e-6, "{place} {found:?} {sum}");
+                            assert!(
+                                (found.gradient * spacing).distance(gradient) < 1e-5,
+                                "{place} {found:?} {gradient}"
+                            );
+                        }
+                        None => {
+                            unknown += 1;
+                            assert!(!sum.is_finite(), "{place} {sum}");
+                        }
+                    }
+                }
+            }
+            assert!(known > 2000 && (unknown > 100 || size[2] == 1), "{known} {unknown}");
+        }
     }
 
     #[test]
