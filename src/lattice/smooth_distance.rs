@@ -16,7 +16,8 @@
 //! 5. Where a label is vessels, tubes fitted to all of their voxels give the distance
 //!    ([`tubular_parts`](crate::lattice::tubular_parts)), within the bounds; the other voxels are worked on beside these.
 //! 6. The values become coefficients of a quadratic B-spline, stored by blocks of 4 x 4 x 4 voxels, evaluated anywhere. Each row of a
-//!    block along x has the voxel before and the one after it too, so that the three around a place lie together.
+//!    block along x has the voxel before and the one after it too, so that the three around a place lie together; rows are summed up
+//!    in single precision.
 //! 7. A spline rounds off the crease between two tubes, by a quarter of a voxel and more. Near one the tubes themselves tell the
 //!    distance, with a spline for what the bounds of the voxels changed; its direction stays that of the rounded spline, which leads
 //!    into the crease.
@@ -645,7 +646,7 @@ impl<'a> LabelBand<'a> {
                 let (block, inside) = distance.place_of(*voxel);
                 deepest[distance.table[block] as usize][inside] = known.deepest[n];
             }
-            self.complete_rows(&distance, &mut deepest);
+            self.complete_rows(&distance, &mut deepest, context)?;
             let correction_of = |slot: usize| Some(corrections[slot]).filter(|c| c.is_finite());
             let corrections = self.coefficients(&distance, context, correction_of)?;
             let TubularDistance { segments, is_outside, .. } = known;
@@ -693,14 +694,20 @@ impl<'a> LabelBand<'a> {
             let (block, inside) = distance.place_of(*voxel);
             blocks[distance.table[block] as usize][inside] = coefficient;
         }
-        self.complete_rows(distance, &mut blocks);
+        self.complete_rows(distance, &mut blocks, context)?;
         Ok(blocks)
     }
 
     /// Gives the rows of all blocks what the voxels before and after them have; past the image, what its outermost ones have.
-    fn complete_rows<T: Copy>(&self, distance: &LabelDistance, blocks: &mut [Block<T>]) {
+    fn complete_rows<T: Copy>(
+        &self,
+        distance: &LabelDistance,
+        blocks: &mut [Block<T>],
+        context: &RunContext,
+    ) -> Result<()> {
         let along = self.image.grid().size()[0] as u32;
-        for voxel in &self.voxels {
+        for (at, voxel) in self.voxels.iter().enumerate() {
+            context.check_every(VOXELS_PER_CHECK, at)?;
             let (block, inside) = distance.place_of(*voxel);
             let own = distance.table[block] as usize;
             let value = blocks[own][inside];
@@ -717,6 +724,7 @@ impl<'a> LabelBand<'a> {
                 }
             }
         }
+        Ok(())
     }
 }
 
