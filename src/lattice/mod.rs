@@ -28,6 +28,7 @@ pub mod centerlines;
 pub mod change_log;
 pub mod chord_splits;
 pub mod deepest_segments;
+pub mod distance_spline;
 pub mod duplicated_interfaces;
 pub mod elastic_model;
 pub mod element_labels;

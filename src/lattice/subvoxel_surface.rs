@@ -25,7 +25,8 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
-use crate::lattice::smooth_distance::{Sample, SmoothDistances, Stencil};
+use crate::lattice::distance_spline::{Sample, Stencil};
+use crate::lattice::smooth_distance::SmoothDistances;
 
 /// Width of the smoothing in voxels: below 0.7 the staircase shows, above 1.2 walls of 1.5 voxels lose volume.
 const SIGMA: f64 = 0.95;
