@@ -5,8 +5,9 @@
 //! 1. Vertices next to the plane, measured along the edges that cross it, are moved onto it, where that spoils no element.
 //! 2. Elements that still cross it are cut along it. Edges are cut where they meet the plane; a face that becomes a
 //!    quadrilateral is divided from that of its two inner vertices that is nearer to the plane, so neighbours agree.
-//! 3. What lies beyond is left out. Background elements whose centroid was beyond take the label of the voxels at what is
-//!    left of them, but for those that run past a plane which the mesh does not reach and nothing cuts.
+//! 3. What lies beyond is left out. What is left of an element has its label, which past the border is that of the nearest voxels
+//!    ([`PastBorder`](crate::lattice::bcc_lattice::PastBorder)); of a background element it takes the label of the voxels there, but
+//!    for those that run past a plane which the mesh does not reach and nothing cuts.
 //! ```text
 //!     \/\/\/\/\/   elements past the border          ----------- cut; a vertex next to the plane has moved onto it
 //!     /\/\/\/\/\                          ->         /\/\/\/\/\
@@ -302,24 +303,36 @@ fn is_piece(topology: &InterfaceTopology, labels: &[Label], elements: &[u32]) ->
 /// Gives all elements around a pinched vertex that may change one label, where that leaves fewer pinches among some vertices.
 fn unite_at_pinches(
     topology: &InterfaceTopology,
-    labels: &mut Vec<Label>,
+    labels: &mut [Label],
     may_change: &[bool],
     is_candidate: impl Fn(u32) -> bool + Sync,
     context: &RunContext,
 ) -> Result<()> {
+    let cost = |changed: &[u32]| changed.iter().all(|e| may_change[*e as usize]).then_some(0);
     let mut pinched = topology.pinched_among(labels, &is_candidate, context)?;
     for vertex in pinched.clone() {
-        let ball = topology.elements_around(&[vertex]);
-        for label in labels_of(&ball, labels) {
-            let mut tried = labels.clone();
-            ball.iter().filter(|e| may_change[**e as usize]).for_each(|e| tried[*e as usize] = label);
-            let may_take = |changed: &[u32]| changed.iter().all(|e| may_change[*e as usize]);
-            topology.repair(&mut tried, None, context, |_, changed, _| may_take(changed).then_some(0))?;
-            let left = topology.pinched_among(&tried, &is_candidate, context)?;
-            if left.len() < pinched.len() {
-                (*labels, pinched) = (tried, left);
+        let ball = topology.ball(vertex);
+        for label in labels_of(ball, labels) {
+            let mut changed = Vec::new();
+            for e in ball.iter().filter(|e| may_change[**e as usize]) {
+                changed.push((*e, labels[*e as usize]));
+                labels[*e as usize] = label;
+            }
+            // Nothing but what changes here pinches otherwise than before.
+            let around = topology.vertices_of(ball);
+            changed.extend(topology.repair_from(around, labels, None, context, |_, changed, _| cost(changed))?);
+            let elements: Vec<u32> = changed.iter().map(|(e, _)| *e).collect();
+            let concerned = topology.vertices_of(&elements);
+            let before = concerned.iter().filter(|v| pinched.binary_search(v).is_ok()).count();
+            let pinches = |v: &u32| is_candidate(*v) && topology.excess(*v, labels) > 0;
+            let left: Vec<u32> = concerned.iter().copied().filter(pinches).collect();
+            if left.len() < before {
+                pinched.retain(|v| concerned.binary_search(v).is_err());
+                pinched.extend(left);
+                pinched.sort_unstable();
                 break;
             }
+            changed.into_iter().rev().for_each(|(e, label)| labels[e as usize] = label);
         }
     }
     Ok(())

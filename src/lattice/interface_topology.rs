@@ -201,7 +201,8 @@ impl<'a> InterfaceTopology<'a> {
             .map(move |f| (f, self.neighbors[element as usize][f]))
     }
 
-    fn excess(&self, vertex: u32, labels: &[Label]) -> i64 {
+    /// How many further groups of elements the labels around a vertex have; above zero their surfaces pinch there.
+    pub fn excess(&self, vertex: u32, labels: &[Label]) -> i64 {
         self.excess_with(vertex, labels, None)
     }
 
@@ -352,12 +353,29 @@ impl<'a> InterfaceTopology<'a> {
     pub fn repair(
         &self,
         labels: &mut [Label],
-        mut euler: Option<&mut EulerRanges>,
+        euler: Option<&mut EulerRanges>,
         context: &RunContext,
         voxels_lost: impl Fn(&[Label], &[u32], Label) -> Option<usize>,
     ) -> Result<usize> {
-        let mut queue: VecDeque<u32> = self.pinched(labels, context)?.into();
-        let (mut changed, mut seen) = (0, 0);
+        let pinched = self.pinched(labels, context)?;
+        Ok(self.repair_from(pinched, labels, euler, context, voxels_lost)?.len())
+    }
+
+    /// As [`repair`](Self::repair), from some vertices on; returns the elements that changed with their labels before, in the order of the
+    /// changes.
+    ///
+    /// # Errors
+    /// As [`repair`](Self::repair).
+    pub fn repair_from(
+        &self,
+        vertices: Vec<u32>,
+        labels: &mut [Label],
+        mut euler: Option<&mut EulerRanges>,
+        context: &RunContext,
+        voxels_lost: impl Fn(&[Label], &[u32], Label) -> Option<usize>,
+    ) -> Result<Vec<(u32, Label)>> {
+        let mut queue: VecDeque<u32> = vertices.into();
+        let (mut changed, mut seen) = (Vec::new(), 0);
         while let Some(vertex) = queue.pop_front() {
             context.check_every(VERTICES_PER_CHECK, seen)?;
             seen += 1;
@@ -366,8 +384,10 @@ impl<'a> InterfaceTopology<'a> {
             }
             let Some(change) = self.best_change(vertex, labels, euler.as_deref(), &voxels_lost) else { continue };
             let concerned = self.vertices_of(&change.elements);
-            changed += change.elements.len();
-            change.elements.iter().for_each(|e| labels[*e as usize] = change.label);
+            for e in change.elements {
+                changed.push((e, labels[e as usize]));
+                labels[e as usize] = change.label;
+            }
             if let Some(euler) = &mut euler {
                 euler.add(&change.euler);
             }
