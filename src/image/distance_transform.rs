@@ -16,8 +16,8 @@
 //! One multi-label pass in place of one transform per label.
 //!
 //! # Invariants
-//! Distances are in mm between voxel centres. Outside the image counts as background: a labelled voxel at the border
-//! has the distance to the first voxel outside; a background voxel has none there.
+//! Distances are in mm between voxel centres of the image. Of what lies outside nothing is known: a surface that the border cuts goes
+//! straight on there.
 //!
 //! # Cost
 //! Linear time, 4 bytes a voxel; parallel over slices, the same bits for any number of threads.
@@ -87,7 +87,7 @@ fn along_row(labels: &[Label], row: &mut [f32], spacing: f64) {
     let mut begin = 0;
     for run in labels.chunk_by(|a, b| a == b) {
         let end = begin + run.len();
-        let (open_left, open_right) = open_ends(run[0], begin, end, labels.len());
+        let (open_left, open_right) = (begin == 0, end == labels.len());
         for (p, value) in row[begin..end].iter_mut().enumerate() {
             let left = if open_left { usize::MAX } else { p + 1 };
             let right = if open_right { usize::MAX } else { run.len() - p };
@@ -96,11 +96,6 @@ fn along_row(labels: &[Label], row: &mut [f32], spacing: f64) {
         }
         begin = end;
     }
-}
-
-/// Whether a run of background has no bounding voxel on the left and on the right: outside is background too.
-fn open_ends(label: Label, begin: usize, end: usize, length: usize) -> (bool, bool) {
-    (label.is_background() && begin == 0, label.is_background() && end == length)
 }
 
 /// Scratch of the envelope along one line of voxels.
@@ -128,7 +123,7 @@ impl Column {
         while begin < length {
             let own = self.labels[begin];
             let end = begin + self.labels[begin..].iter().take_while(|l| **l == own).count();
-            let (open_left, open_right) = open_ends(own, begin, end, length);
+            let (open_left, open_right) = (begin == 0, end == length);
             self.envelope(begin, end);
             let mut current = 0;
             for p in begin..end {
@@ -185,13 +180,13 @@ mod tests {
         let [ni, nj, nk] = image.grid().size();
         let spacing = image.grid().spacing();
         let mut result = Vec::new();
-        let positions = |n: usize| (-1..=n as i32).collect::<Vec<_>>();
+        let positions = |n: usize| 0..n as i32;
         for (k, j, i) in itertools3(nk, nj, ni) {
             let own = image.at(i, j, k);
             let mut best = f64::INFINITY;
-            for &z in &positions(nk) {
-                for &y in &positions(nj) {
-                    for &x in &positions(ni) {
+            for z in positions(nk) {
+                for y in positions(nj) {
+                    for x in positions(ni) {
                         if image.at_or_background(IVec3::new(x, y, z)) != own {
                             let step = (IVec3::new(x, y, z) - IVec3::new(i as i32, j as i32, k as i32)).as_dvec3();
                             best = best.min((step * spacing).length());
@@ -230,10 +225,12 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_image_has_no_distance() {
+    fn an_image_of_one_label_has_no_distance() {
         let context = RunContext::with_threads(1).unwrap();
         let grid = Grid::new([3, 3, 3], DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).unwrap();
-        let image = LabelImage::new(grid, vec![Label::BACKGROUND; 27], vec![0]).unwrap();
-        assert!(distance_to_other_labels(&image, &context).unwrap().iter().all(|d| d.is_infinite()));
+        for label in [0, 1] {
+            let image = LabelImage::new(grid, vec![Label(label); 27], vec![0, 7]).unwrap();
+            assert!(distance_to_other_labels(&image, &context).unwrap().iter().all(|d| d.is_infinite()));
+        }
     }
 }

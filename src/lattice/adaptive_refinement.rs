@@ -34,7 +34,7 @@ use crate::image::distance_transform::distance_to_other_labels;
 use crate::image::euler_numbers::euler_numbers;
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
-use crate::lattice::bcc_lattice::{Field, LatticeFrame};
+use crate::lattice::bcc_lattice::{Field, LatticeFrame, PastBorder};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
 use crate::lattice::euler_ranges::EulerRanges;
@@ -130,13 +130,14 @@ pub fn refine(
     let (distance, components) = (distance?, components?);
     let count = |image: u64| LabelCount { image, ..LabelCount::default() };
     let totals = input.image.voxel_counts().into_iter().map(count).collect();
-    let field = Field::new(input.image, &distance);
+    let smooths = options.smoothing_iterations > 0;
+    let past_border = if smooths { PastBorder::Continued } else { PastBorder::Background };
+    let field = Field::new(input.image, &distance, past_border);
     context.progress("lattice", progress_shares::BEGUN);
     let mut lattice = report.timed("lattice", || RedGreenLattice::new(frame, field, options.max_elements, context))?;
     if options.local_closure {
         lattice.close_locally();
     }
-    let smooths = options.smoothing_iterations > 0;
     let euler = match smooths || input.region_threshold.is_some() {
         true => report.timed("topology", || euler_numbers(input.image, context))?,
         false => Vec::new(),

@@ -144,25 +144,39 @@ fn labelled_box(image: &LabelImage) -> Result<(DVec3, DVec3)> {
     Ok((low.as_dvec3(), high.as_dvec3()))
 }
 
+/// What elements that lie across the image border take for labels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PastBorder {
+    /// Those with a centroid outside are background: the mesh ends as near to the border as its elements can.
+    Background,
+    /// Those of the nearest voxels: the lattice will be cut at the border.
+    Continued,
+}
+
 /// The image as the lattice sees it: labels and distances at local points.
 #[derive(Clone, Copy)]
 pub struct Field<'a> {
     /// The segmentation.
     pub image: &'a LabelImage,
-    /// Distance to the nearest voxel of another label, mm.
+    /// Distance to the nearest voxel of another label in the image, mm; infinite where there is none.
     pub distance: &'a [f32],
+    past_border: PastBorder,
     size: IVec3,
     voxel: DVec3,
     inverse: DVec3,
     diagonal: f64,
+    /// More than any distance within the image, mm.
+    extent: f64,
 }
 
 impl<'a> Field<'a> {
     /// A view of an image and its distance transform.
-    pub fn new(image: &'a LabelImage, distance: &'a [f32]) -> Self {
+    pub fn new(image: &'a LabelImage, distance: &'a [f32], past_border: PastBorder) -> Self {
         let size = IVec3::from_array(image.grid().size().map(|s| s as i32));
         let voxel = image.grid().spacing();
-        Self { image, distance, size, voxel, inverse: voxel.recip(), diagonal: voxel.length() }
+        let extent = (size.as_dvec3() * voxel).length();
+        let (inverse, diagonal) = (voxel.recip(), voxel.length());
+        Self { image, distance, past_border, size, voxel, inverse, diagonal, extent }
     }
 
     /// Size of a voxel: the root mean square of its spacings, mm. The staircase of an image is that coarse.
@@ -187,6 +201,11 @@ impl<'a> Field<'a> {
         self.nearest(local).0
     }
 
+    /// Whether a local point lies in a voxel of the image.
+    pub fn contains(&self, local: DVec3) -> bool {
+        self.nearest(local).1
+    }
+
     #[inline]
     fn nearest(&self, local: DVec3) -> (IVec3, bool) {
         let index = floor_of(local * self.inverse + 0.5);
@@ -199,12 +218,13 @@ impl<'a> Field<'a> {
         index.x as usize + self.size.x as usize * (index.y as usize + self.size.y as usize * index.z as usize)
     }
 
-    /// The label of the voxel around a local point; background outside of the image.
+    /// The label of the voxel around a local point; outside of the image that of the nearest voxel where it continues there, else
+    /// background.
     #[inline]
     pub fn label_at(&self, local: DVec3) -> Label {
         match self.nearest(local) {
-            (index, true) => self.image.voxels()[self.offset(index)],
-            _ => Label::BACKGROUND,
+            (_, false) if self.past_border == PastBorder::Background => Label::BACKGROUND,
+            (index, _) => self.image.voxels()[self.offset(index)],
         }
     }
 
@@ -214,21 +234,42 @@ impl<'a> Field<'a> {
     /// labels of the eight voxels around the point: a wall whose voxels touch along edges only is closed there, as it
     /// has two of the four voxels; at the centre of a voxel it is the voxel's label. For a larger element it is the label
     /// of the voxel around the point, a sample without preference, which keeps the shares of rough labels.
+    ///
+    /// Where the image continues past its border, elements that reach into it have the labels of the nearest voxels.
     #[inline]
     pub fn label_of_element(&self, local: DVec3, edge: f64) -> Label {
         let (index, inside) = self.nearest(local);
         let offset = self.offset(index);
         let own = self.image.voxels()[offset];
+        let continues = self.past_border == PastBorder::Continued;
+        let has_label = inside || continues && self.overshoot(local) < TET_RADIUS * edge;
         // The eight voxels lie within a voxel's diagonal of the nearest.
-        let is_alone = f64::from(self.distance[offset]) > self.diagonal && (inside || own.is_background());
-        if is_alone || edge > SMALL_EDGE * self.voxel_size() {
-            return if inside { own } else { Label::BACKGROUND };
+        let is_alone = match continues {
+            true => f64::from(self.distance[offset]) > self.diagonal,
+            false => self.lies_deeper(index, own, self.diagonal) && (inside || own.is_background()),
+        };
+        if is_alone || edge > SMALL_EDGE * self.voxel_size() || continues && !has_label {
+            return if has_label { own } else { Label::BACKGROUND };
         }
         self.interpolated_label(local * self.inverse)
     }
 
+    /// How far a point lies outside of the image, along the axis where that is most, mm.
+    fn overshoot(&self, local: DVec3) -> f64 {
+        let high = (self.size.as_dvec3() - 0.5) * self.voxel;
+        (local - local.clamp(-0.5 * self.voxel, high)).abs().max_element()
+    }
+
+    /// Whether no voxel of another label is as near to a voxel of `own` label, the background outside of the image included.
+    #[inline]
+    fn lies_deeper(&self, index: IVec3, own: Label, distance: f64) -> bool {
+        let outside = || ((index.min(self.size - 1 - index) + 1).as_dvec3() * self.voxel).min_element();
+        f64::from(self.distance[self.offset(index)]) > distance && (own.is_background() || outside() > distance)
+    }
+
     /// Signed distance to the boundary of `label`, mm, positive inside: interpolated between the voxels' distances, half
-    /// a voxel short of the nearest centre beyond the boundary. Past the image its outermost voxels continue.
+    /// a voxel short of the nearest centre beyond the boundary. Past the image its outermost voxels continue: a boundary that
+    /// the image cuts does not bend there.
     pub fn signed_distance(&self, local: DVec3, label: Label) -> f64 {
         let at = local * self.inverse;
         let base = floor_of(at);
@@ -239,7 +280,7 @@ impl<'a> Field<'a> {
             let step = IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2);
             let along = |d: usize| if step[d] == 1 { fraction[d] } else { 1.0 - fraction[d] };
             let offset = self.offset((base + step).clamp(IVec3::ZERO, self.size - 1));
-            let distance = f64::from(self.distance[offset]) - half;
+            let distance = f64::from(self.distance[offset]).min(self.extent) - half;
             let sign = if self.image.voxels()[offset] == label { 1.0 } else { -1.0 };
             sum += along(0) * along(1) * along(2) * sign * distance;
         }
@@ -256,7 +297,12 @@ impl<'a> Field<'a> {
             let step = IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2);
             let along = |d: usize| if step[d] == 1 { fraction[d] } else { 1.0 - fraction[d] };
             let weight = along(0) * along(1) * along(2);
-            let label = self.image.at_or_background(base + step);
+            let label = match self.past_border {
+                PastBorder::Background => self.image.at_or_background(base + step),
+                PastBorder::Continued => {
+                    self.image.voxels()[self.offset((base + step).clamp(IVec3::ZERO, self.size - 1))]
+                }
+            };
             match shares[..count].iter_mut().find(|(l, _)| *l == label) {
                 Some((_, share)) => *share += weight,
                 None => {
@@ -280,7 +326,7 @@ impl<'a> Field<'a> {
             return None;
         }
         let reach = radius + local.distance(index.as_dvec3() * self.voxel);
-        (f64::from(self.distance[offset]) > reach).then_some(label)
+        self.lies_deeper(index, label, reach).then_some(label)
     }
 
     /// Radius around the centroid of a background tet within which a labelled voxel's centre makes it worth keeping: of a
@@ -448,6 +494,7 @@ pub fn coarsest_tets(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::image::distance_transform::distance_to_other_labels;
     use crate::lattice::test_images::voxel_image;
 
     #[test]
@@ -460,5 +507,46 @@ mod tests {
         // 240 000 cubes across 24 mm, and one on each side; past 2^18 - 1 along an axis no level of refinement is left.
         assert_eq!(numbers(1e-4), ("lattice cubes", 240_002u64.pow(3), u64::from(u32::MAX)));
         assert_eq!(numbers(5e-5), ("lattice cubes along an axis", 480_002, (1 << 18) - 1));
+    }
+
+    #[test]
+    fn elements_across_the_border_continue_the_image_where_it_does() {
+        // The border is at -0.5.
+        let image = voxel_image(8, |p| if p.y < 3.9 { 1 } else { 2 });
+        let context = RunContext::with_threads(1).unwrap();
+        let distance = distance_to_other_labels(&image, &context).unwrap();
+        let [plain, continued] =
+            [PastBorder::Background, PastBorder::Continued].map(|past| Field::new(&image, &distance, past));
+        let label = |field: &Field, x: f64, y: f64, edge: f64| field.label_of_element(DVec3::new(x, y, 4.2), edge).0;
+        for (y, own) in [(2.2, 1), (5.3, 2)] {
+            for edge in [1.0, 4.0] {
+                let reach = TET_RADIUS * edge;
+                assert_eq!([&plain, &continued].map(|f| label(f, 0.1, y, edge)), [own; 2]);
+                assert_eq!([&plain, &continued].map(|f| label(f, -0.4 - reach, y, edge)), [0, own]);
+                assert_eq!([&plain, &continued].map(|f| label(f, -0.6 - reach, y, edge)), [0; 2]);
+            }
+            let past = DVec3::new(-2.0, y, 4.2);
+            assert_eq!([&plain, &continued].map(|f| f.label_at(past).0), [0, own]);
+        }
+        assert!(continued.contains(DVec3::new(-0.4, 2.2, 4.2)) && !continued.contains(DVec3::new(-0.6, 2.2, 4.2)));
+        // Near a corner of the image most of the eight voxels around lie outside.
+        let corner = DVec3::splat(-0.4);
+        assert_eq!([&plain, &continued].map(|f| f.label_of_element(corner, 1.0).0), [0, 1]);
+    }
+
+    #[test]
+    fn a_boundary_that_the_image_cuts_goes_straight_on() {
+        let image = voxel_image(12, |p| u16::from(p.x < 5.9));
+        let context = RunContext::with_threads(1).unwrap();
+        let distance = distance_to_other_labels(&image, &context).unwrap();
+        let field = Field::new(&image, &distance, PastBorder::Continued);
+        for x in [1.3, 4.0, 5.5, 7.2, 13.0] {
+            let at = |y: f64| field.signed_distance(DVec3::new(x, y, 6.1), Label(1));
+            assert!([-3.0, -0.5, 0.0, 11.0, 14.0].iter().all(|y| (at(*y) - at(6.0)).abs() < 1e-6), "{x}");
+        }
+        // What may lie outside counts where elements are told to have one label.
+        let deep = |y: f64| field.uniform_label(DVec3::new(1.0, y, 6.0), 1.5);
+        assert_eq!([deep(6.0), deep(0.2)], [Some(Label(1)), None]);
+        assert_eq!(field.uniform_label(DVec3::new(10.0, 0.2, 6.0), 1.5), Some(Label::BACKGROUND));
     }
 }

@@ -11,7 +11,9 @@
 //!           ___     _     ___          the chord of a curved boundary has vertices on both sides and is no miss
 //!    label 1   |___| |___|
 //! ```
-//! 3. The leaves of such elements are refined, down to edges of `SINGLE_VOXEL_EDGE` voxels.
+//! 3. An element that runs past the image border, where another label has the outermost voxel, reaches through a layer that is thin
+//!    against it: cut at the border such layers get holes.
+//! 4. The leaves of such elements are refined, down to edges of `SINGLE_VOXEL_EDGE` voxels.
 //!
 //! # Source
 //! After the two fidelities of [Drakopoulos2017] 2.3.3, which count voxels whatever their depth.
@@ -19,7 +21,7 @@
 //! # Cost
 //! One pass over the elements near boundaries, in parallel.
 
-use glam::IVec3;
+use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
 use crate::context::RunContext;
@@ -39,8 +41,8 @@ const SINGLE_VOXEL_EDGE: f64 = 1.25;
 /// 0.56, 0.57, 0.60 voxel from the staircase of a brain atlas at 95 % of it (0.70 without).
 const LEAST_DEPTH: f64 = 0.05;
 
-/// A tolerance of boundaries past this, in voxels, asks for voxels that lie deeper by the difference only: a large one leaves
-/// the fidelity alone to decide.
+/// A tolerance of boundaries past this, in voxels, asks for voxels that lie deeper by the difference only, and for no layers at the
+/// image border: a large one leaves the fidelity alone to decide.
 const LEAST_TOLERANCE: f64 = 0.8;
 
 /// Elements per parallel work item.
@@ -67,7 +69,10 @@ pub fn mark_missed_voxels(
                 any = any || (is_refined(label) && straight_distance(lattice, &elements.tets[*e], at, label) < -depth);
             });
         }
-        any
+        any || targets.surface_tolerance <= LEAST_TOLERANCE
+            && edge > SINGLE_VOXEL_EDGE * voxel
+            && edge > 2.0 * targets.min_size[elements.labels[*e].index()]
+            && reaches_through_layer(lattice, &elements.tets[*e], elements.labels[*e])
     };
     let all = (0..elements.tets.len()).into_par_iter().with_min_len(CHUNK);
     let missing: Vec<usize> = context.until_cancelled(all).filter(misses).collect();
@@ -75,6 +80,22 @@ pub fn mark_missed_voxels(
     let mut marked = vec![false; lattice.tets.len()];
     missing.into_iter().for_each(|e| marked[elements.leaves[e] as usize] = true);
     Ok(marked)
+}
+
+/// Whether an element runs past the image border where the outermost voxel has another label: a layer of that one ends there, thin
+/// against the element.
+fn reaches_through_layer(lattice: &RedGreenLattice, tet: &[u32; 4], label: Label) -> bool {
+    let field = &lattice.field;
+    let (corners, voxel, last) = (lattice.corners(tet), field.image.grid().spacing(), field.size() - 1);
+    let nearest = field.nearest_voxel(corners.iter().sum::<DVec3>() / 4.0);
+    (0..3).any(|axis| {
+        let of_side = |outermost: i32, is_past: &dyn Fn(f64) -> bool| {
+            let mut at = nearest;
+            at[axis] = outermost;
+            corners.iter().any(|p| is_past(p[axis] / voxel[axis])) && field.image.at_or_background(at) != label
+        };
+        of_side(0, &|p| p < -0.5) || of_side(last[axis], &|p| p > f64::from(last[axis]) + 0.5)
+    })
 }
 
 /// Signed distance of a label, mm, interpolated between the corners of an element at the centre of a voxel in it.
@@ -127,5 +148,24 @@ mod tests {
         assert!(!marked_places(&image, "surface-tolerance", "0.8").is_empty());
         assert!(marked_places(&image, "surface-tolerance", "9").is_empty());
         assert!(marked_places(&image, "min-element-size", "1.1").is_empty());
+    }
+
+    #[test]
+    fn elements_that_reach_through_a_layer_at_the_border_are_found() {
+        let reaching = |image: &LabelImage| {
+            with_lattice(image, 3.2, |lattice, context| {
+                let elements = lattice.elements(context).unwrap();
+                let tets = elements.tets.iter().zip(&elements.labels);
+                let reaching = tets.filter(|(tet, label)| reaches_through_layer(&lattice, tet, **label));
+                reaching.map(|(tet, label)| (lattice.centroid(tet), *label)).collect::<Vec<_>>()
+            })
+        };
+        // Cubes of the lattice reach 0.4 mm past the border, their middles are past the layer.
+        let layer = reaching(&voxel_image(12, |p| if p.x < 0.9 { 2 } else { 1 }));
+        let within = |p: &DVec3| p.x > -0.5 && p.x < 1.5;
+        assert!(layer.iter().any(|(p, label)| *label == Label(1) && within(p) && (p.y - 5.0).abs() < 3.0), "{layer:?}");
+        // A plane that goes straight out has no layer; what has no label outside is left aside.
+        let straight = reaching(&voxel_image(12, |p| if p.y + 0.001 * p.x < 5.3 { 2 } else { 1 }));
+        assert!(straight.iter().all(|(_, label)| label.is_background()), "{straight:?}");
     }
 }

@@ -414,6 +414,7 @@ mod tests {
     use crate::image::distance_transform::distance_to_other_labels;
     use crate::image::grid::Grid;
     use crate::image::label_image::LabelImage;
+    use crate::lattice::bcc_lattice::PastBorder;
     use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
     use glam::DMat3;
 
@@ -437,7 +438,7 @@ mod tests {
         let (mut count, mut kept) = (0, 0);
         for seed in 0..20u64 {
             let frame = LatticeFrame::new(&image, 5.0).unwrap();
-            let field = Field::new(&image, &distance);
+            let field = Field::new(&image, &distance, PastBorder::Background);
             let mut lattice = RedGreenLattice::new(frame, field, 1 << 22, &context).unwrap();
             if closure == Closure::Local {
                 lattice.close_locally();

@@ -6,7 +6,7 @@
 //! 2. In a region with more than one, each element goes by the first component that it has voxels of, those without by a neighbour
 //!    through a face, layer by layer.
 //! 3. Two neighbours with different components are a joint, and so is an element with voxels of two. These and their neighbours
-//!    through faces are refined.
+//!    through faces are refined. Elements past the image border join nothing: where surfaces are smoothed the lattice is cut there.
 //!
 //! # Source
 //! Our own: what [`region_gaps`](crate::lattice::region_gaps) is for a label that is broken.
@@ -15,7 +15,7 @@
 //! A part of a component that joins the largest region of its label is not seen while another part is a region of its own.
 //!
 //! # Cost
-//! A look at the elements of the smaller regions, most often few; 4 bytes an element where something is joined.
+//! A look at the elements of the smaller regions, most often few; 5 bytes an element where something is joined.
 
 use rayon::prelude::*;
 
@@ -51,35 +51,36 @@ pub fn elements_at_joints(
         return Ok(Vec::new());
     }
     let labels = &elements.labels;
-    let is_beside = |own: u32, n: &u32| *n != OUTSIDE && labels[*n as usize] == labels[own as usize];
-    let beside = |e: u32| neighbors[e as usize].into_iter().filter(move |n| is_beside(e, n));
-    let (mut of_element, mut unknown, mut joints) = (vec![NONE; labels.len()], Vec::new(), Vec::new());
-    let among: Vec<u32> = joined.iter().flat_map(|(_, region)| region).copied().collect();
-    let found_in = |e: &u32| (*e, components_in(lattice, elements, *e, components));
-    let found: Vec<(u32, Option<[u32; 2]>)> = over(&among, context).map(found_in).collect();
+    let all: Vec<u32> = joined.iter().flat_map(|(_, region)| region).copied().collect();
+    let is_within = |e: &&u32| lattice.field.contains(lattice.centroid(&elements.tets[**e as usize]));
+    let among: Vec<u32> = over(&all, context).filter(is_within).copied().collect();
     context.check()?;
-    for (e, found) in found {
-        match found {
-            None => unknown.push(e),
-            Some([first, last]) => {
-                of_element[e as usize] = first;
-                joints.extend((first != last).then_some(e));
-            }
-        }
+    let mut takes_part = vec![false; labels.len()];
+    among.iter().for_each(|e| takes_part[*e as usize] = true);
+    let is_beside =
+        |own: u32, n: &u32| *n != OUTSIDE && takes_part[*n as usize] && labels[*n as usize] == labels[own as usize];
+    let beside = |e: u32| neighbors[e as usize].into_iter().filter(move |n| is_beside(e, n));
+    let (mut of_element, mut joints) = (vec![NONE; labels.len()], Vec::new());
+    let found_in = |e: &u32| components_in(lattice, elements, *e, components).map(|found| (*e, found));
+    let found: Vec<(u32, [u32; 2])> = over(&among, context).filter_map(found_in).collect();
+    context.check()?;
+    for (e, [first, last]) in &found {
+        of_element[*e as usize] = *first;
+        joints.extend((first != last).then_some(*e));
     }
-    loop {
-        // All elements of a layer look at the layers before, whatever their order.
-        let found = |e: &u32| {
-            let near = beside(*e).map(|n| of_element[n as usize]).min();
-            near.filter(|component| *component != NONE).map(|component| (*e, component))
-        };
-        let layer: Vec<(u32, u32)> = over(&unknown, context).filter_map(found).collect();
+    let mut layer: Vec<u32> = found.into_iter().map(|(e, _)| e).collect();
+    while !layer.is_empty() {
+        let of_element_then = &of_element;
+        let unknown = |e: &u32| beside(*e).filter(move |n| of_element_then[*n as usize] == NONE);
+        layer = over(&layer, context).flat_map_iter(unknown).collect();
         context.check()?;
-        if layer.is_empty() {
-            break;
-        }
-        layer.into_iter().for_each(|(e, component)| of_element[e as usize] = component);
-        unknown.retain(|e| of_element[*e as usize] == NONE);
+        layer.par_sort_unstable();
+        layer.dedup();
+        // All elements of a layer look at the layers before, whatever their order.
+        let nearest = |e: &u32| beside(*e).map(|n| of_element[n as usize]).min().unwrap_or(NONE);
+        let found: Vec<u32> = over(&layer, context).map(nearest).collect();
+        context.check()?;
+        layer.iter().zip(found).for_each(|(e, component)| of_element[*e as usize] = component);
     }
     let meets_other = |e: &&u32| beside(**e).any(|n| of_element[n as usize] != of_element[**e as usize]);
     joints.par_extend(over(&among, context).filter(meets_other));
@@ -154,7 +155,7 @@ mod tests {
     use super::*;
     use crate::image::connected_components::{Connectivity, Members};
     use crate::lattice::face_adjacency::neighbors_of;
-    use crate::lattice::mesh_regions::regions_of;
+    use crate::lattice::mesh_regions::{regions_of, regions_with_background};
     use crate::lattice::test_images::{voxel_image, with_lattice};
     use glam::{DVec3, Vec3Swizzles};
 
@@ -188,5 +189,34 @@ mod tests {
             assert!(found.iter().all(|p| (p.x - 15.2).abs() < 3.5), "{gap}: {found:?}");
             assert!(marked(gap, 0.0).0.is_empty(), "{gap}");
         }
+    }
+
+    #[test]
+    fn what_meets_only_past_the_image_border_is_not_joined() {
+        let image = voxel_image(24, |p| u16::from((p.x - 11.6).abs() < 4.0));
+        with_lattice(&image, 2.0, |lattice, context| {
+            let elements = lattice.elements(context).unwrap();
+            let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap();
+            let components = Components::new(&image, Connectivity::Vertex, Members::All, context).unwrap();
+            let mut regions = regions_with_background(&elements.labels, &neighbors, context).unwrap();
+            let joined = joined_regions(&lattice, &elements, &regions, &components, context).unwrap();
+            // The background on both sides of the plate, around its edges.
+            assert!(joined.len() == 1 && joined[0].0.is_background());
+            let marked = elements_at_joints(&lattice, &elements, &neighbors, &regions, &components, context);
+            assert!(marked.unwrap().is_empty());
+            // A hole in the plate joins them.
+            let mut elements = elements;
+            for (label, tet) in elements.labels.iter_mut().zip(&elements.tets) {
+                let middle = lattice.centroid(tet);
+                if middle.yz().distance(DVec3::splat(12.1).yz()) < 3.0 {
+                    *label = Label::BACKGROUND;
+                }
+            }
+            regions = regions_with_background(&elements.labels, &neighbors, context).unwrap();
+            let marked = elements_at_joints(&lattice, &elements, &neighbors, &regions, &components, context);
+            let middles: Vec<DVec3> =
+                marked.unwrap().iter().map(|e| lattice.centroid(&elements.tets[*e as usize])).collect();
+            assert!(!middles.is_empty() && middles.iter().all(|p| (p.yz() - 12.1).abs().max_element() < 6.0));
+        });
     }
 }

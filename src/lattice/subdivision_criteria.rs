@@ -287,6 +287,10 @@ fn sample_weights(edge: f64) -> Vec<[f64; 4]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::image::connected_components::{Connectivity, Members};
+    use crate::lattice::options::PARAMETERS;
+    use crate::lattice::test_images::{voxel_image, with_lattice};
+    use crate::parameters::ParameterSet;
 
     #[test]
     fn samples_of_a_leaf_stand_closer_than_a_thin_rod_is_wide() {
@@ -297,5 +301,25 @@ mod tests {
             let on_first_edge = samples.iter().filter(|w| w[2] == 0.0 && w[3] == 0.0).count();
             assert!(edge / (on_first_edge + 1) as f64 <= SAMPLED_LENGTH);
         }
+    }
+
+    #[test]
+    fn a_plane_that_the_image_border_cuts_bends_nowhere() {
+        let marked = |image: &LabelImage| {
+            let mut set = ParameterSet::new(PARAMETERS);
+            set.set_text("fidelity", "0.1").unwrap();
+            let targets = Targets::new(image.values(), &Options::from_parameters(&set).unwrap()).unwrap();
+            with_lattice(image, 6.0, |lattice, context| {
+                let elements = lattice.elements(context).unwrap();
+                let components = Components::new(image, Connectivity::Vertex, Members::All, context).unwrap();
+                let deficit = Deficit::new(&[LabelCount::default(); 2], &[], &components, &targets);
+                let demands = Demands { deficit: &deficit, targets: &targets, finest: 2 };
+                mark_leaves(&lattice, &elements, &[], &demands, |_| false, context).unwrap()
+            })
+        };
+        let plane = marked(&voxel_image(36, |p| u16::from(p.x + 0.3 * p.y < 21.0)));
+        assert!(plane.len() > 200 && !plane.contains(&true));
+        // A wall thinner than the leaves does not go by straight elements.
+        assert!(marked(&voxel_image(36, |p| u16::from((p.x - 17.2).abs() < 1.5))).contains(&true));
     }
 }

@@ -8,7 +8,7 @@ use crate::image::grid::Grid;
 use crate::image::label_image::LabelImage;
 use crate::image::voxel_index::VoxelIndex;
 use crate::index::Label;
-use crate::lattice::bcc_lattice::{Field, LatticeFrame};
+use crate::lattice::bcc_lattice::{Field, LatticeFrame, PastBorder};
 use crate::lattice::centerlines::{Tube, TubeNode};
 use crate::lattice::deepest_segments::{BoundaryVoxels, depth_in_segment};
 use crate::lattice::red_green::RedGreenLattice;
@@ -45,7 +45,10 @@ pub fn with_lattice<T>(image: &LabelImage, spacing: f64, work: impl FnOnce(RedGr
     let context = RunContext::with_threads(1).unwrap();
     let distance = distance_to_other_labels(image, &context).unwrap();
     let frame = LatticeFrame::new(image, spacing).unwrap();
-    work(RedGreenLattice::new(frame, Field::new(image, &distance), 1 << 22, &context).unwrap(), &context)
+    work(
+        RedGreenLattice::new(frame, Field::new(image, &distance, PastBorder::Background), 1 << 22, &context).unwrap(),
+        &context,
+    )
 }
 
 /// All voxels of a cube, and whether they are inside of something.
