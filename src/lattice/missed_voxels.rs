@@ -12,7 +12,7 @@
 //!    label 1   |___| |___|
 //! ```
 //! 3. An element that runs past the image border, where another label has the outermost voxel, reaches through a layer that is thin
-//!    against it: cut at the border such layers get holes.
+//!    against it, or lies beyond: cut at the border such layers get holes.
 //! 4. The leaves of such elements are refined, down to edges of `SINGLE_VOXEL_EDGE` voxels.
 //!
 //! # Source
@@ -82,22 +82,22 @@ pub fn mark_missed_voxels(
     Ok(marked)
 }
 
-/// Whether an element with its centroid in the image runs past the border where the outermost voxel has another label: a layer of that
-/// one ends there, thin against the element.
+/// Whether an element runs past the image border where the outermost voxel has another label: a layer of that one ends there, thin
+/// against the element. The background past a labelled border counts too: what crosses the border beside it becomes finer with it.
+/// Of eight images that cut many labels two have a label in one piece too many or too few without that, none with it, for up to 40 %
+/// more time.
 fn reaches_through_layer(lattice: &RedGreenLattice, tet: &[u32; 4], label: Label) -> bool {
     let field = &lattice.field;
     let (corners, voxel, last) = (lattice.corners(tet), field.image.grid().spacing(), field.size() - 1);
-    let centroid = corners.iter().sum::<DVec3>() / 4.0;
-    let nearest = field.nearest_voxel(centroid);
-    let runs_past = |axis: usize| {
+    let nearest = field.nearest_voxel(corners.iter().sum::<DVec3>() / 4.0);
+    (0..3).any(|axis| {
         let of_side = |outermost: i32, is_past: &dyn Fn(f64) -> bool| {
             let mut at = nearest;
             at[axis] = outermost;
             corners.iter().any(|p| is_past(p[axis] / voxel[axis])) && field.image.at_or_background(at) != label
         };
         of_side(0, &|p| p < -0.5) || of_side(last[axis], &|p| p > f64::from(last[axis]) + 0.5)
-    };
-    field.contains(centroid) && (0..3).any(runs_past)
+    })
 }
 
 /// Signed distance of a label, mm, interpolated between the corners of an element at the centre of a voxel in it.
@@ -166,9 +166,9 @@ mod tests {
         let layer = reaching(&voxel_image(12, |p| if p.x < 0.9 { 2 } else { 1 }));
         let within = |p: &DVec3| p.x > -0.5 && p.x < 1.5;
         assert!(layer.iter().any(|(p, label)| *label == Label(1) && within(p) && (p.y - 5.0).abs() < 3.0), "{layer:?}");
-        assert!(layer.iter().all(|(p, _)| within(p)), "{layer:?}");
-        // A plane that goes straight out has no layer.
+        // A plane that goes straight out has no layer; the background past it counts.
         let straight = reaching(&voxel_image(12, |p| if p.y + 0.001 * p.x < 5.3 { 2 } else { 1 }));
-        assert!(straight.is_empty(), "{straight:?}");
+        let is_past = |p: &DVec3| p.min_element() < -0.5 || p.max_element() > 11.5;
+        assert!(straight.iter().all(|(p, label)| label.is_background() && is_past(p)), "{straight:?}");
     }
 }
