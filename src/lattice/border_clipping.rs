@@ -35,20 +35,13 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::geometry::tetrahedron::volume6;
 use crate::index::{Label, VertexId};
+use crate::lattice::border_snapping::vertices_to_move;
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::relabel_for_smoothing;
-use crate::lattice::element_score::{Threshold, tet_fails, tet_score};
 use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
 use crate::lattice::interface_topology::{InterfaceTopology, labels_of};
 use crate::lattice::scaffold::Scaffold;
 use crate::lattice::subvoxel_surface::SubvoxelSurface;
-use crate::mesh::numbering::TET_EDGES;
-
-/// A vertex whose distance to the plane is less than this part of an edge that crosses it moves onto the plane.
-const NEAR: f64 = 0.3;
-
-/// Score in degrees below which the move of a vertex onto the plane may bring no element that stays.
-const LEAST_SCORE: f64 = 5.0;
 
 /// No vertex.
 const NONE: u32 = u32::MAX;
@@ -68,7 +61,7 @@ pub fn clip_at_border(mesh: &mut CandidateMesh, surface: &SubvoxelSurface, conte
         work.clip(surface, *plane);
     }
     let is_beyond = work.elements_beyond(surface);
-    work.label_changed(surface, &is_beyond);
+    work.mark_changed();
     work.relabel(&is_beyond, context)?;
     work.finish(mesh);
     Ok(planes)
@@ -95,7 +88,7 @@ pub(super) struct Clipping {
     pub(super) points: Vec<DVec3>,
     pub(super) tets: Vec<[u32; 4]>,
     pub(super) labels: Vec<Label>,
-    fixed: Vec<bool>,
+    pub(super) fixed: Vec<bool>,
     /// Whether a vertex lay beyond a plane, was moved, or is new.
     pub(super) changed: Vec<bool>,
     /// Whether an element may take another label.
@@ -120,9 +113,7 @@ impl Clipping {
     fn clip(&mut self, surface: &SubvoxelSurface, plane: u8) {
         let (axis, at) = surface.border(plane);
         let mut heights: Vec<f64> = self.points.par_iter().map(|p| height(*p, surface, plane)).collect();
-        let mut near = self.near(&heights);
-        self.retain_harmless(&mut near, &heights, axis, at);
-        for v in near {
+        for v in vertices_to_move(self, &heights, axis, at) {
             self.points[v][axis] = at;
             heights[v] = 0.0;
             self.changed[v] = true;
@@ -161,54 +152,6 @@ impl Clipping {
         self.relabels.push(relabel);
     }
 
-    /// Vertices next to the plane.
-    fn near(&self, heights: &[f64]) -> Vec<usize> {
-        let near_of = |tet: &[u32; 4]| {
-            let crosses =
-                tet.iter().any(|v| heights[*v as usize] > 0.0) && tet.iter().any(|v| heights[*v as usize] < 0.0);
-            let tet = *tet;
-            TET_EDGES.into_iter().filter(move |_| crosses).filter_map(move |edge| {
-                let [a, b] = edge.map(|v| tet[v] as usize);
-                let [low, high] = [heights[a].abs(), heights[b].abs()];
-                let nearer = if low < high { a } else { b };
-                let is_near = heights[a] * heights[b] < 0.0 && low.min(high) < NEAR * (low + high);
-                (is_near && !self.fixed[nearer]).then_some(nearer)
-            })
-        };
-        let mut near: Vec<usize> = self.tets.par_iter().with_min_len(4096).flat_map_iter(near_of).collect();
-        near.par_sort_unstable();
-        near.dedup();
-        near
-    }
-
-    /// Takes out vertices whose move onto the plane would spoil an element that stays: one beside a large element that crosses
-    /// the plane may have small elements too, which the move would turn over.
-    fn retain_harmless(&self, near: &mut Vec<usize>, heights: &[f64], axis: usize, at: f64) {
-        let mut moves = vec![false; self.points.len()];
-        near.iter().for_each(|v| moves[*v] = true);
-        let bound = Threshold::of(LEAST_SCORE);
-        let is_spoiled = |tet: &&[u32; 4], moves: &[bool]| {
-            let is_moved = |v: &u32| moves[*v as usize];
-            let stays = tet.iter().any(|v| !is_moved(v) && heights[*v as usize] < 0.0);
-            if !stays || !tet.iter().any(is_moved) {
-                return false;
-            }
-            let before = tet.map(|v| self.points[v as usize]);
-            let mut after = before;
-            tet.iter().zip(&mut after).filter(|(v, _)| is_moved(v)).for_each(|(_, place)| place[axis] = at);
-            tet_fails(after, &bound) && tet_score(after) < tet_score(before)
-        };
-        loop {
-            let spoiled = self.tets.par_iter().with_min_len(4096).filter(|tet| is_spoiled(tet, &moves));
-            let back: Vec<u32> = spoiled.flat_map_iter(|tet| *tet).filter(|v| moves[*v as usize]).collect();
-            if back.is_empty() {
-                break;
-            }
-            back.into_iter().for_each(|v| moves[v as usize] = false);
-        }
-        near.retain(|v| moves[*v]);
-    }
-
     /// Background elements that run past a border plane which the mesh did not reach: the image says nothing of them.
     fn elements_beyond(&self, surface: &SubvoxelSurface) -> Vec<bool> {
         let is_inside = |v: &u32| {
@@ -219,14 +162,10 @@ impl Clipping {
         self.tets.par_iter().with_min_len(4096).zip(&self.labels).map(is_beyond).collect()
     }
 
-    /// Background elements that reached a border take the label of their voxels.
-    fn label_changed(&mut self, surface: &SubvoxelSurface, is_beyond: &[bool]) {
-        for (t, tet) in self.tets.iter().enumerate() {
-            self.relabels[t] |= tet.iter().any(|v| self.changed[*v as usize]);
-            if self.relabels[t] && self.labels[t].is_background() && !is_beyond[t] {
-                let center = tet.iter().map(|v| self.points[*v as usize]).sum::<DVec3>() / 4.0;
-                self.labels[t] = surface.nearest_label(center);
-            }
+    /// What has a vertex that changed may take another label.
+    fn mark_changed(&mut self) {
+        for (tet, relabels) in self.tets.iter().zip(&mut self.relabels) {
+            *relabels |= tet.iter().any(|v| self.changed[*v as usize]);
         }
     }
 
@@ -246,7 +185,10 @@ impl Clipping {
         let may_take = |labels: &[Label], changed: &[u32], _: Label| {
             is_within(changed) && changed.iter().all(|e| relabels[*e as usize]) && !is_piece(&topology, labels, changed)
         };
-        relabel_for_smoothing(&mut self.labels, &continued, may_take, context)?;
+        let may_take_simply = |labels: &[Label], changed: &[u32], label: Label| {
+            may_take(labels, changed, label) && changed.iter().all(|e| topology.is_simple(*e, label, labels))
+        };
+        relabel_for_smoothing(&mut self.labels, &continued, may_take_simply, context)?;
         let cost = |labels: &[Label], changed: &[u32], to: Label| may_take(labels, changed, to).then_some(0);
         topology.repair(&mut self.labels, None, context, cost)?;
         // What still pinches needs a change farther inside, or of all its elements at once. What pinches elsewhere is left as it is: it

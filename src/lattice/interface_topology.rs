@@ -296,24 +296,25 @@ impl<'a> InterfaceTopology<'a> {
 
     /// What elements show on a small sphere around a vertex of theirs: parts, connected also through corners, and Euler number.
     fn shape_on_sphere(&self, vertex: u32, elements: &[u32]) -> (i64, i64) {
-        let mut corners = Vec::with_capacity(3 * elements.len());
-        let mut sides = Vec::with_capacity(3 * elements.len());
-        for element in elements {
-            let tet = self.tets[*element as usize];
-            let at = tet.iter().position(|v| *v == vertex).unwrap_or(0);
-            let rest = TET_FACES[at].map(|v| tet[v]);
-            sides.extend([[0, 1], [1, 2], [0, 2]].map(|[a, b]| [rest[a].min(rest[b]), rest[a].max(rest[b])]));
-            corners.extend(rest);
-        }
-        corners.sort_unstable();
-        corners.dedup();
-        sides.sort_unstable();
-        sides.dedup();
-        let mut parents: Vec<u32> = (0..corners.len() as u32).collect();
-        let place = |v: u32| corners.partition_point(|corner| *corner < v) as u32;
-        let joined = sides.iter().filter(|[a, b]| unite(&mut parents, place(*a), place(*b))).count();
-        let parts = (corners.len() - joined) as i64;
-        (parts, corners.len() as i64 - sides.len() as i64 + elements.len() as i64)
+        shape_of(elements.iter().map(|e| opposite_to(vertex, self.tets[*e as usize])), |_| true)
+    }
+
+    /// Whether an element can take another label and what has its label, and what has the other, stays as it is but for its shape:
+    /// with each it shares one to three faces and nothing else, which are a disc.
+    pub fn is_simple(&self, element: u32, label: Label, labels: &[Label]) -> bool {
+        let tet = self.tets[element as usize];
+        [labels[element as usize], label].into_iter().all(|side| {
+            let others = || {
+                let around = tet.into_iter().flat_map(|v| self.ball(v));
+                around.filter(|e| **e != element && labels[**e as usize] == side).map(|e| {
+                    let shared = (0..4).filter(|at| self.tets[*e as usize].contains(&tet[*at]));
+                    shared.fold(0u8, |shared, at| shared | 1 << at)
+                })
+            };
+            // All corners but one.
+            let faces: Vec<u8> = (0..4).map(|at| 15 & !(1 << at)).filter(|face| others().any(|e| e == *face)).collect();
+            (1..4).contains(&faces.len()) && others().all(|shared| faces.iter().any(|face| shared & !face == 0))
+        })
     }
 
     /// Groups of the elements around a vertex whose label passes, connected through faces at the vertex.
@@ -496,6 +497,34 @@ pub(super) fn group_count(marks: u128, links: &[[u8; 3]; MOST_COUNTED]) -> usize
         }
     }
     count
+}
+
+/// The corners of a tet beside one of them.
+#[inline]
+pub(super) fn opposite_to(vertex: u32, tet: [u32; 4]) -> [u32; 3] {
+    let at = tet.iter().position(|v| *v == vertex).unwrap_or(0);
+    TET_FACES[at].map(|v| tet[v])
+}
+
+/// What triangles of a sphere span of those of their corners that count: parts, connected also through corners, and Euler number.
+pub(super) fn shape_of(triangles: impl Iterator<Item = [u32; 3]>, counts: impl Fn(u32) -> bool) -> (i64, i64) {
+    let (mut corners, mut sides, mut faces) = (Vec::new(), Vec::new(), 0);
+    for triangle in triangles {
+        let is_in = triangle.map(&counts);
+        let pairs = [[0, 1], [1, 2], [0, 2]].into_iter().filter(|[a, b]| is_in[*a] && is_in[*b]);
+        sides.extend(pairs.map(|[a, b]| [triangle[a].min(triangle[b]), triangle[a].max(triangle[b])]));
+        corners.extend(triangle.into_iter().zip(is_in).filter(|(_, is_in)| *is_in).map(|(v, _)| v));
+        faces += i64::from(is_in == [true; 3]);
+    }
+    corners.sort_unstable();
+    corners.dedup();
+    sides.sort_unstable();
+    sides.dedup();
+    let mut parents: Vec<u32> = (0..corners.len() as u32).collect();
+    let place = |v: u32| corners.partition_point(|corner| *corner < v) as u32;
+    let joined = sides.iter().filter(|[a, b]| unite(&mut parents, place(*a), place(*b))).count();
+    let parts = (corners.len() - joined) as i64;
+    (parts, corners.len() as i64 - sides.len() as i64 + faces)
 }
 
 /// The labels of some elements, each once, in order.

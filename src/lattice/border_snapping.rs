@@ -1,0 +1,195 @@
+//! Vertices next to a plane that cuts the lattice go onto it, where that spoils no element and no label's topology.
+//!
+//! # Method
+//! 1. Candidates are the vertices that are near the plane, measured along the edges that cross it.
+//! 2. A move that brings an element of low score is taken back.
+//! 3. The plane cuts what a label has around a vertex that is not on it in one piece, as it cut the vertex' edges. One on the plane is
+//!    looked at: below the plane each label around it is to have one part, without holes, and each edge on the plane one fan of
+//!    elements of each label. Then it is one disc on a small sphere around the vertex. A vertex that lay below the plane takes a tip
+//!    with it, so that each label is to have such a part there. Where it is not so the vertex stays where it is.
+//! ```text
+//!     a a . v . b b       b   label in question, below the plane; v is to go onto the plane: the label would touch
+//!      \ a / \ b /            itself in v, and what went through v be parted: v stays
+//! ```
+//! # Source
+//! [LabelleShewchuk2007] for the move onto the surface before the cut, which bounds the angles. The topology is our own: what a plane
+//! that meets no vertex leaves of a body shrinks to what the vertices below span of it, so that only a vertex that changes sides can
+//! change it, and does not where what it is joined with shrinks to a point.
+//!
+//! # Limits
+//! Vertices that are on the plane already are not looked at, nor those with elements of one label only.
+
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+
+use crate::lattice::border_clipping::Clipping;
+use crate::lattice::element_score::{Threshold, tet_fails, tet_score};
+use crate::lattice::interface_topology::{labels_of, opposite_to, shape_of};
+use crate::mesh::numbering::TET_EDGES;
+
+/// A vertex whose distance to the plane is less than this part of an edge that crosses it moves onto the plane.
+const NEAR: f64 = 0.3;
+
+/// Score in degrees below which the move of a vertex onto the plane may bring no element that stays.
+const LEAST_SCORE: f64 = 5.0;
+
+/// Elements per parallel work item.
+const CHUNK: usize = 4096;
+
+/// The vertices that move onto a plane at a coordinate along an axis, in order; `heights` are those of all vertices above it.
+pub(super) fn vertices_to_move(work: &Clipping, heights: &[f64], axis: usize, at: f64) -> Vec<usize> {
+    let mut moves = near(work, heights);
+    loop {
+        retain_harmless(work, &mut moves, heights, axis, at);
+        let count = moves.len();
+        moves = Topology::new(work, heights, &moves).kept(&moves);
+        // An element may have been well because more of its vertices moved.
+        if moves.len() == count {
+            return moves;
+        }
+    }
+}
+
+/// Vertices next to the plane.
+fn near(work: &Clipping, heights: &[f64]) -> Vec<usize> {
+    let near_of = |tet: &[u32; 4]| {
+        let crosses = tet.iter().any(|v| heights[*v as usize] > 0.0) && tet.iter().any(|v| heights[*v as usize] < 0.0);
+        let tet = *tet;
+        TET_EDGES.into_iter().filter(move |_| crosses).filter_map(move |edge| {
+            let [a, b] = edge.map(|v| tet[v] as usize);
+            let [low, high] = [heights[a].abs(), heights[b].abs()];
+            let nearer = if low < high { a } else { b };
+            let is_near = heights[a] * heights[b] < 0.0 && low.min(high) < NEAR * (low + high);
+            (is_near && !work.fixed[nearer]).then_some(nearer)
+        })
+    };
+    let mut near: Vec<usize> = work.tets.par_iter().with_min_len(CHUNK).flat_map_iter(near_of).collect();
+    near.par_sort_unstable();
+    near.dedup();
+    near
+}
+
+/// Takes out vertices whose move onto the plane would spoil an element that stays: one beside a large element that crosses
+/// the plane may have small elements too, which the move would turn over.
+fn retain_harmless(work: &Clipping, near: &mut Vec<usize>, heights: &[f64], axis: usize, at: f64) {
+    let mut moves = vec![false; work.points.len()];
+    near.iter().for_each(|v| moves[*v] = true);
+    let bound = Threshold::of(LEAST_SCORE);
+    let is_spoiled = |tet: &&[u32; 4], moves: &[bool]| {
+        let is_moved = |v: &u32| moves[*v as usize];
+        let stays = tet.iter().any(|v| !is_moved(v) && heights[*v as usize] < 0.0);
+        if !stays || !tet.iter().any(is_moved) {
+            return false;
+        }
+        let before = tet.map(|v| work.points[v as usize]);
+        let mut after = before;
+        tet.iter().zip(&mut after).filter(|(v, _)| is_moved(v)).for_each(|(_, place)| place[axis] = at);
+        tet_fails(after, &bound) && tet_score(after) < tet_score(before)
+    };
+    loop {
+        let spoiled = work.tets.par_iter().with_min_len(CHUNK).filter(|tet| is_spoiled(tet, &moves));
+        let back: Vec<u32> = spoiled.flat_map_iter(|tet| *tet).filter(|v| moves[*v as usize]).collect();
+        if back.is_empty() {
+            break;
+        }
+        back.into_iter().for_each(|v| moves[v as usize] = false);
+    }
+    near.retain(|v| moves[*v]);
+}
+
+/// Where a vertex is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Place {
+    Below,
+    On,
+    Above,
+}
+
+/// What labels have around the vertices that may move.
+struct Topology<'a> {
+    work: &'a Clipping,
+    places: Vec<Place>,
+    /// Elements of the candidates with more than one label around them.
+    balls: FxHashMap<u32, Vec<u32>>,
+}
+
+impl<'a> Topology<'a> {
+    /// Before any candidate moves.
+    fn new(work: &'a Clipping, heights: &[f64], candidates: &[usize]) -> Self {
+        let place = |height: &f64| match *height {
+            h if h < 0.0 => Place::Below,
+            h if h > 0.0 => Place::Above,
+            _ => Place::On,
+        };
+        let mut is_candidate = vec![false; heights.len()];
+        candidates.iter().for_each(|v| is_candidate[*v] = true);
+        let elements = (0..work.tets.len() as u32).into_par_iter().with_min_len(CHUNK);
+        let has_any = |e: &u32| work.tets[*e as usize].iter().any(|v| is_candidate[*v as usize]);
+        let mut balls: FxHashMap<u32, Vec<u32>> = FxHashMap::default();
+        for e in elements.filter(has_any).collect::<Vec<u32>>() {
+            for v in work.tets[e as usize].into_iter().filter(|v| is_candidate[*v as usize]) {
+                balls.entry(v).or_default().push(e);
+            }
+        }
+        balls.retain(|_, ball| labels_of(ball, &work.labels).len() > 1);
+        Self { work, places: heights.iter().map(place).collect(), balls }
+    }
+
+    /// Those of the candidates that can move one after the other.
+    fn kept(mut self, candidates: &[usize]) -> Vec<usize> {
+        let (mixed, plain): (Vec<usize>, Vec<usize>) =
+            candidates.iter().partition(|v| self.balls.contains_key(&(**v as u32)));
+        plain.iter().for_each(|v| self.places[*v] = Place::On);
+        let mut kept = plain;
+        kept.extend(mixed.into_iter().filter(|v| self.may_move(*v as u32)));
+        kept.sort_unstable();
+        kept
+    }
+
+    /// Moves a vertex onto the plane if it may.
+    fn may_move(&mut self, v: u32) -> bool {
+        let before = self.places[v as usize];
+        let parts = if before == Place::Below { 1..=1 } else { 0..=1 };
+        self.places[v as usize] = Place::On;
+        let ball = &self.balls[&v];
+        let is_beside = |w: &u32| *w != v && self.places[*w as usize] == Place::On && self.balls.contains_key(w);
+        let mut beside: Vec<u32> = ball.iter().flat_map(|e| self.work.tets[*e as usize]).filter(is_beside).collect();
+        beside.sort_unstable();
+        beside.dedup();
+        let may = self.is_whole(v, parts) && beside.into_iter().all(|w| self.is_whole(w, 0..=1));
+        if !may {
+            self.places[v as usize] = before;
+        }
+        may
+    }
+
+    /// Whether each label around a vertex on the plane has so many parts there below it, without holes, and one fan around each edge on
+    /// the plane. All labels together are a body too, whose rest is the background.
+    fn is_whole(&self, v: u32, parts: std::ops::RangeInclusive<i64>) -> bool {
+        let ball = &self.balls[&v];
+        let is_below = |w: u32| self.places[w as usize] == Place::Below;
+        labels_of(ball, &self.work.labels).into_iter().all(|label| {
+            let own = || {
+                let is_own = |e: &&u32| self.work.labels[**e as usize].is_in_solid_of(label);
+                ball.iter().filter(is_own).map(|e| opposite_to(v, self.work.tets[*e as usize]))
+            };
+            let (found, euler) = shape_of(own(), is_below);
+            let mut on_plane: Vec<u32> = own().flatten().filter(|w| self.places[*w as usize] == Place::On).collect();
+            on_plane.sort_unstable();
+            on_plane.dedup();
+            let has_one_fan = |w: u32| {
+                let (mut ends, mut sides) = (Vec::new(), 0);
+                for side in own().filter(|triangle| triangle.contains(&w)) {
+                    let below = side.into_iter().filter(|u| *u != w && is_below(*u));
+                    let count = ends.len();
+                    ends.extend(below);
+                    sides += usize::from(ends.len() == count + 2);
+                }
+                ends.sort_unstable();
+                ends.dedup();
+                ends.len() <= sides + 1
+            };
+            parts.contains(&found) && euler == found && on_plane.into_iter().all(has_one_fan)
+        })
+    }
+}
