@@ -24,7 +24,7 @@
 //! Each round refines at least one leaf, levels are bounded, so the loop ends. What is still missing then is returned
 //! and reported as findings.
 
-use glam::DVec3;
+use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
 use crate::context::RunContext;
@@ -43,8 +43,8 @@ use crate::lattice::image_contacts::ImageContacts;
 use crate::lattice::interface_carving::{Carved, Extent, FillingRules, Pinches, carve, choose_fillings};
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::mesh_regions::{
-    component_counts, fill_unseen_regions, joinable_regions, number_by_image, regions_of, regions_with_background,
-    relabel_loose_regions, surplus_of,
+    component_counts, fill_unseen_regions, joinable_regions, number_by_image, regions_inside, regions_of,
+    regions_with_background, relabel_loose_regions, surplus_of,
 };
 use crate::lattice::missed_voxels::mark_missed_voxels;
 use crate::lattice::mixed_elements::{self, SurfaceCount};
@@ -65,6 +65,9 @@ use crate::lattice::voxel_fidelity::{
 /// (edges of 4 voxels become half a voxel), one that the lattice makes anew each time never goes. On an atlas of brain lobes the
 /// last label has the image's Euler number after five, where features of two voxels fill the whole image after nine.
 const TOPOLOGY_ROUNDS: u32 = 9;
+
+/// Rounds among these that refine around pinches alone, with all pieces and Euler numbers within reach: those of the image's own shape.
+const PINCH_ROUNDS: u32 = 2;
 
 /// Share of the leaves below which those that are marked must not refine the whole lattice: the closure is local then. It is a
 /// few places that lack something, components of a voxel or two most often, where boundaries are whole layers of leaves. On a
@@ -92,6 +95,9 @@ const CARVING_ROUNDS: u32 = 3;
 /// Rounds that refine around stray voxels: from edges of two voxels to those of half a one, and once more where relabelling
 /// lost some. On a cortex of 48 regions they mark 1138, 66 and 1 leaves of 3 million, on one of 41 regions 104, 3, 0.
 const STRAY_ROUNDS: u32 = 3;
+
+/// Vertices per parallel work item.
+const CHUNK: usize = 4096;
 
 /// What refinement works with.
 #[derive(Clone, Copy)]
@@ -397,6 +403,27 @@ impl Rounds<'_> {
         })
     }
 
+    /// The topology of the interfaces, of what is left inside of the image where smoothing cuts the elements at its border.
+    fn topology<'a>(
+        &self,
+        lattice: &RedGreenLattice,
+        tets: &'a [[u32; 4]],
+        neighbors: &'a [[u32; 4]],
+    ) -> Result<InterfaceTopology<'a>> {
+        let mut topology = InterfaceTopology::new(tets, neighbors, lattice.vertices.positions.len(), self.context)?;
+        if let Some(is_inside) = self.inside(lattice) {
+            topology.cut_at_border(&is_inside);
+        }
+        Ok(topology)
+    }
+
+    /// Whether each vertex is inside of the image; `None` where all are, or nothing is cut at its border.
+    fn inside(&self, lattice: &RedGreenLattice) -> Option<Vec<bool>> {
+        let positions = lattice.vertices.positions.par_iter().with_min_len(CHUNK);
+        let is_inside = |position: &IVec3| lattice.field.contains(lattice.frame.local(*position));
+        self.smooths.then(|| positions.map(is_inside).collect()).filter(|inside: &Vec<bool>| inside.contains(&false))
+    }
+
     fn relabel(
         &mut self,
         lattice: &RedGreenLattice,
@@ -439,9 +466,8 @@ impl Rounds<'_> {
         found: Vec<Mismatch>,
         before: &Deficit,
     ) -> Result<(Vec<Mismatch>, Option<EulerRanges>)> {
-        let vertices = lattice.vertices.positions.len();
         let unchanged = elements.labels.clone();
-        let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices, self.context)?;
+        let topology = self.topology(lattice, &elements.tets, neighbors)?;
         let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
         let voxels_lost = |labels: &[Label], changed: &[u32], label: Label| {
             let of_element = |e: &u32| voxels_of(lattice, &elements.tets[*e as usize], labels[*e as usize]);
@@ -484,7 +510,6 @@ impl Rounds<'_> {
         before: &Deficit,
         limit: RefinementLimit,
     ) -> Result<(Vec<bool>, Vec<Mismatch>)> {
-        let vertices = lattice.vertices.positions.len();
         let unchanged = elements.labels.clone();
         let (threshold, labels) = (self.input.region_threshold.unwrap_or(0.0), self.input.values.len());
         relabel_loose_regions(lattice, elements, neighbors, labels, threshold, self.context)?;
@@ -499,19 +524,27 @@ impl Rounds<'_> {
             (found, euler) = (after, None);
         }
         let context = self.context;
-        let topology = InterfaceTopology::new(&elements.tets, neighbors, vertices, context)?;
+        let topology = self.topology(lattice, &elements.tets, neighbors)?;
         let pinched = topology.pinched(&elements.labels, context)?;
         let mut marked = vec![false; lattice.tets.len()];
         if limit.rounds_left > 0 {
             marked = self.mark_other_pieces(lattice, elements, neighbors, limit.finest)?;
-            let around = topology.elements_around(&pinched);
-            self.mark_refinable(lattice, elements, &around, limit.finest, &mut marked);
             let known = match euler {
                 Some(known) => known,
                 None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
             };
-            let differing = elements_at_differences(lattice, elements, neighbors, &known, context)?;
-            self.mark_refinable(lattice, elements, &differing, limit.finest, &mut marked);
+            // Carving chooses the numbers of the image where they are within reach.
+            let may_carve = limit.rounds_left + PINCH_ROUNDS <= TOPOLOGY_ROUNDS
+                && !marked.contains(&true)
+                && known.differing().into_iter().all(|label| known.out_of_reach(label).is_none());
+            if !may_carve {
+                let around = topology.elements_around(&pinched);
+                self.mark_refinable(lattice, elements, &around, limit.finest, &mut marked);
+                let differing = self
+                    .report
+                    .timed("topology", || elements_at_differences(lattice, elements, neighbors, &known, context))?;
+                self.mark_refinable(lattice, elements, &differing, limit.finest, &mut marked);
+            }
             euler = Some(known);
         }
         if marked.contains(&true) {
@@ -560,11 +593,17 @@ impl Rounds<'_> {
         let context = self.context;
         let regions =
             self.report.timed("topology", || regions_with_background(&elements.labels, neighbors, context))?;
-        let surplus = self.surplus(&regions)?;
+        // What hangs together past the border only is in pieces once it is cut.
+        let cut = match self.inside(lattice) {
+            Some(is_inside) => Some(regions_inside(&elements.tets, &elements.labels, neighbors, &is_inside, context)?),
+            None => None,
+        };
+        let pieces = cut.as_ref().unwrap_or(&regions);
+        let surplus = self.surplus(pieces)?;
         let components = &self.components;
         let concerned = self.report.timed("topology", || -> Result<Vec<u32>> {
             let joints = elements_at_joints(lattice, elements, neighbors, &regions, components, context)?;
-            let regions = joinable_regions(elements, &regions, surplus);
+            let regions = joinable_regions(elements, pieces, surplus);
             Ok([joints, elements_at_gaps(lattice, elements, neighbors, &regions, context)?].concat())
         })?;
         let mut marked = vec![false; lattice.tets.len()];
@@ -627,8 +666,7 @@ impl Rounds<'_> {
         for round in 1..=CARVING_ROUNDS {
             let context = self.context;
             let is_candidate = |v: u32| to_see.as_ref().is_none_or(|to_see| to_see[v as usize]);
-            let vertices = lattice.vertices.positions.len();
-            let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices, context)?;
+            let topology = self.topology(lattice, &elements.tets, &neighbors)?;
             let pinches = Pinches::among(lattice, &elements.labels, &topology, is_candidate, context)?;
             if pinches.vertices.is_empty() {
                 break;

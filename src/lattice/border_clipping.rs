@@ -35,7 +35,7 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::geometry::tetrahedron::volume6;
 use crate::index::{Label, VertexId};
-use crate::lattice::border_snapping::vertices_to_move;
+use crate::lattice::border_snapping::{Plane, move_vertices};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::relabel_for_smoothing;
 use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
@@ -113,9 +113,7 @@ impl Clipping {
     fn clip(&mut self, surface: &SubvoxelSurface, plane: u8) {
         let (axis, at) = surface.border(plane);
         let mut heights: Vec<f64> = self.points.par_iter().map(|p| height(*p, surface, plane)).collect();
-        for v in vertices_to_move(self, &heights, axis, at) {
-            self.points[v][axis] = at;
-            heights[v] = 0.0;
+        for v in move_vertices(self, &mut heights, Plane { axis, at, is_low: plane.is_multiple_of(2) }) {
             self.changed[v] = true;
         }
         let mut cuts: FxHashMap<(u32, u32), u32> = FxHashMap::default();
@@ -333,6 +331,7 @@ mod tests {
     use crate::image::grid::Grid;
     use crate::image::label_image::LabelImage;
     use crate::lattice;
+    use crate::lattice::element_score::tet_score;
     use crate::lattice::options::{Options, PARAMETERS};
     use crate::mesh::quality::mesh_quality;
     use crate::mesh::validation::check_mixed_mesh;

@@ -5,8 +5,10 @@
 //! 2. A move that brings an element of low score is taken back.
 //! 3. The plane cuts what a label has around a vertex that is not on it in one piece, as it cut the vertex' edges. One on the plane is
 //!    looked at: below the plane each label around it is to have one part, without holes, and each edge on the plane one fan of
-//!    elements of each label. Then it is one disc on a small sphere around the vertex. A vertex that lay below the plane takes a tip
-//!    with it, so that each label is to have such a part there. Where it is not so the vertex stays where it is.
+//!    elements of each label. Then it is one disc on a small sphere around the vertex, or nothing: the tip of a label that reaches past
+//!    the plane in one vertex goes with it. Where it is not so the vertex stays where it is.
+//! 4. A vertex that may not go onto the plane goes away from it, as far as one that is not near it would be, where that spoils no
+//!    element: the parts of edges between it and the plane would be short.
 //! ```text
 //!     a a . v . b b       b   label in question, below the plane; v is to go onto the plane: the label would touch
 //!      \ a / \ b /            itself in v, and what went through v be parted: v stays
@@ -19,6 +21,7 @@
 //! # Limits
 //! Vertices that are on the plane already are not looked at, nor those with elements of one label only.
 
+use glam::DVec3;
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
@@ -36,18 +39,74 @@ const LEAST_SCORE: f64 = 5.0;
 /// Elements per parallel work item.
 const CHUNK: usize = 4096;
 
-/// The vertices that move onto a plane at a coordinate along an axis, in order; `heights` are those of all vertices above it.
-pub(super) fn vertices_to_move(work: &Clipping, heights: &[f64], axis: usize, at: f64) -> Vec<usize> {
-    let mut moves = near(work, heights);
+/// A plane at a coordinate along an axis; what lies beyond it has positive heights.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Plane {
+    pub(super) axis: usize,
+    pub(super) at: f64,
+    /// Whether what lies beyond has lower coordinates.
+    pub(super) is_low: bool,
+}
+
+impl Plane {
+    fn coordinate(&self, height: f64) -> f64 {
+        if self.is_low { self.at - height } else { self.at + height }
+    }
+}
+
+/// Moves vertices onto a plane or away from it; `heights` are those of all vertices above it, which follow. Returns the vertices that moved.
+pub(super) fn move_vertices(work: &mut Clipping, heights: &mut [f64], plane: Plane) -> Vec<usize> {
+    let near = near(work, heights);
+    let mut moves = near.clone();
     loop {
-        retain_harmless(work, &mut moves, heights, axis, at);
-        let count = moves.len();
-        moves = Topology::new(work, heights, &moves).kept(&moves);
+        retain_harmless(work, &mut moves, heights, plane);
+        let harmless = moves.clone();
+        moves = Topology::new(work, heights, &harmless).kept(&harmless);
         // An element may have been well because more of its vertices moved.
-        if moves.len() == count {
-            return moves;
+        if moves.len() == harmless.len() {
+            break;
         }
     }
+    for &v in &moves {
+        work.points[v][plane.axis] = plane.at;
+        heights[v] = 0.0;
+    }
+    let stay: Vec<usize> = near.into_iter().filter(|v| moves.binary_search(v).is_err()).collect();
+    moves.extend(move_away(work, heights, stay, plane));
+    moves
+}
+
+/// Moves vertices near a plane away from it, where that spoils no element; returns those that moved.
+fn move_away(work: &mut Clipping, heights: &mut [f64], mut vertices: Vec<usize>, plane: Plane) -> Vec<usize> {
+    let balls = balls_of(work, &vertices);
+    let bound = Threshold::of(LEAST_SCORE);
+    vertices.retain(|v| {
+        let (ball, own) = (&balls[&(*v as u32)], heights[*v]);
+        // Where the longest of the edges that cross the plane has the vertex no longer near it.
+        let others = ball.iter().flat_map(|e| work.tets[*e as usize]).map(|w| heights[w as usize]);
+        let across = others.filter(|height| height * own < 0.0).fold(0.0, |far: f64, height| far.max(height.abs()));
+        let far = across * NEAR / (1.0 - NEAR);
+        if far <= own.abs() {
+            return false;
+        }
+        let before = work.points[*v];
+        let mut after = before;
+        after[plane.axis] = plane.coordinate(far.copysign(own));
+        let corners = |e: &u32, place: DVec3| {
+            work.tets[*e as usize].map(|w| if w as usize == *v { place } else { work.points[w as usize] })
+        };
+        let is_spoiled = |e: &u32| {
+            let moved = corners(e, after);
+            tet_fails(moved, &bound) && tet_score(moved) < tet_score(corners(e, before))
+        };
+        let may_move = !ball.iter().any(is_spoiled);
+        if may_move {
+            work.points[*v] = after;
+            heights[*v] = far.copysign(own);
+        }
+        may_move
+    });
+    vertices
 }
 
 /// Vertices next to the plane.
@@ -71,7 +130,7 @@ fn near(work: &Clipping, heights: &[f64]) -> Vec<usize> {
 
 /// Takes out vertices whose move onto the plane would spoil an element that stays: one beside a large element that crosses
 /// the plane may have small elements too, which the move would turn over.
-fn retain_harmless(work: &Clipping, near: &mut Vec<usize>, heights: &[f64], axis: usize, at: f64) {
+fn retain_harmless(work: &Clipping, near: &mut Vec<usize>, heights: &[f64], plane: Plane) {
     let mut moves = vec![false; work.points.len()];
     near.iter().for_each(|v| moves[*v] = true);
     let bound = Threshold::of(LEAST_SCORE);
@@ -83,7 +142,7 @@ fn retain_harmless(work: &Clipping, near: &mut Vec<usize>, heights: &[f64], axis
         }
         let before = tet.map(|v| work.points[v as usize]);
         let mut after = before;
-        tet.iter().zip(&mut after).filter(|(v, _)| is_moved(v)).for_each(|(_, place)| place[axis] = at);
+        tet.iter().zip(&mut after).filter(|(v, _)| is_moved(v)).for_each(|(_, place)| place[plane.axis] = plane.at);
         tet_fails(after, &bound) && tet_score(after) < tet_score(before)
     };
     loop {
@@ -95,6 +154,21 @@ fn retain_harmless(work: &Clipping, near: &mut Vec<usize>, heights: &[f64], axis
         back.into_iter().for_each(|v| moves[v as usize] = false);
     }
     near.retain(|v| moves[*v]);
+}
+
+/// The elements of some vertices.
+fn balls_of(work: &Clipping, vertices: &[usize]) -> FxHashMap<u32, Vec<u32>> {
+    let mut is_wanted = vec![false; work.points.len()];
+    vertices.iter().for_each(|v| is_wanted[*v] = true);
+    let elements = (0..work.tets.len() as u32).into_par_iter().with_min_len(CHUNK);
+    let has_any = |e: &u32| work.tets[*e as usize].iter().any(|v| is_wanted[*v as usize]);
+    let mut balls: FxHashMap<u32, Vec<u32>> = FxHashMap::default();
+    for e in elements.filter(has_any).collect::<Vec<u32>>() {
+        for v in work.tets[e as usize].into_iter().filter(|v| is_wanted[*v as usize]) {
+            balls.entry(v).or_default().push(e);
+        }
+    }
+    balls
 }
 
 /// Where a vertex is.
@@ -121,16 +195,7 @@ impl<'a> Topology<'a> {
             h if h > 0.0 => Place::Above,
             _ => Place::On,
         };
-        let mut is_candidate = vec![false; heights.len()];
-        candidates.iter().for_each(|v| is_candidate[*v] = true);
-        let elements = (0..work.tets.len() as u32).into_par_iter().with_min_len(CHUNK);
-        let has_any = |e: &u32| work.tets[*e as usize].iter().any(|v| is_candidate[*v as usize]);
-        let mut balls: FxHashMap<u32, Vec<u32>> = FxHashMap::default();
-        for e in elements.filter(has_any).collect::<Vec<u32>>() {
-            for v in work.tets[e as usize].into_iter().filter(|v| is_candidate[*v as usize]) {
-                balls.entry(v).or_default().push(e);
-            }
-        }
+        let mut balls = balls_of(work, candidates);
         balls.retain(|_, ball| labels_of(ball, &work.labels).len() > 1);
         Self { work, places: heights.iter().map(place).collect(), balls }
     }
@@ -149,23 +214,22 @@ impl<'a> Topology<'a> {
     /// Moves a vertex onto the plane if it may.
     fn may_move(&mut self, v: u32) -> bool {
         let before = self.places[v as usize];
-        let parts = if before == Place::Below { 1..=1 } else { 0..=1 };
         self.places[v as usize] = Place::On;
         let ball = &self.balls[&v];
         let is_beside = |w: &u32| *w != v && self.places[*w as usize] == Place::On && self.balls.contains_key(w);
         let mut beside: Vec<u32> = ball.iter().flat_map(|e| self.work.tets[*e as usize]).filter(is_beside).collect();
         beside.sort_unstable();
         beside.dedup();
-        let may = self.is_whole(v, parts) && beside.into_iter().all(|w| self.is_whole(w, 0..=1));
+        let may = [v].into_iter().chain(beside).all(|w| self.is_whole(w));
         if !may {
             self.places[v as usize] = before;
         }
         may
     }
 
-    /// Whether each label around a vertex on the plane has so many parts there below it, without holes, and one fan around each edge on
-    /// the plane. All labels together are a body too, whose rest is the background.
-    fn is_whole(&self, v: u32, parts: std::ops::RangeInclusive<i64>) -> bool {
+    /// Whether each label around a vertex on the plane has at most one part there below it, without holes, and one fan around each edge
+    /// on the plane. All labels together are a body too, whose rest is the background.
+    fn is_whole(&self, v: u32) -> bool {
         let ball = &self.balls[&v];
         let is_below = |w: u32| self.places[w as usize] == Place::Below;
         labels_of(ball, &self.work.labels).into_iter().all(|label| {
@@ -189,7 +253,7 @@ impl<'a> Topology<'a> {
                 ends.dedup();
                 ends.len() <= sides + 1
             };
-            parts.contains(&found) && euler == found && on_plane.into_iter().all(has_one_fan)
+            found <= 1 && euler == found && on_plane.into_iter().all(has_one_fan)
         })
     }
 }

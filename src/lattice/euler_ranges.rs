@@ -10,6 +10,9 @@
 //! 4. Where a neighbourhood of vertices and of what they span takes a label ([`super::interface_carving`]), that label is joined with a
 //!    body that shrinks to what they span, and the others lose it: Euler numbers of unions and of what they share give the changes.
 //! 5. All labels together are a body too, whose surface is that of the background: it is counted as that.
+//! 6. Where the elements are cut at the border of the image afterwards, the numbers are those of what is left. A plane that meets no
+//!    vertex leaves of a closed body what shrinks to the simplices with all corners inside; of an open one, those with any. What
+//!    has corners beyond is shared by those inside.
 //!
 //! # Source
 //! [KongRosenfeld1989] for the two readings, of voxels there.
@@ -27,7 +30,7 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::face_adjacency::OUTSIDE;
-use crate::lattice::interface_topology::{InterfaceTopology, Links, MOST_COUNTED, group_count};
+use crate::lattice::interface_topology::{AtBorder, InterfaceTopology, Links, MOST_COUNTED, group_count, opposite_to};
 use crate::mesh::numbering::TET_FACES;
 
 /// Parts of one that a vertex can add.
@@ -117,8 +120,13 @@ impl InterfaceTopology<'_> {
             sums
         };
         let of_vertex = |mut sums: Vec<EulerNumbers>, v: u32| {
-            let links = self.has_links(v).then(|| self.links(v));
-            for label in self.labels_around(v, labels) {
+            let links = self.has_disc(v).then(|| self.links(v));
+            let mut around = self.labels_around(v, labels);
+            if self.at_border(v) == AtBorder::Next && around.first() != Some(&Label::BACKGROUND) {
+                // All labels together are cut too.
+                around.push(Label::BACKGROUND);
+            }
+            for label in around {
                 let [closed, open] = self.euler_at(v, label, labels, links.as_ref());
                 let sum = &mut sums[label.index()];
                 *sum = [sum[0] + closed, sum[1] + open];
@@ -126,12 +134,18 @@ impl InterfaceTopology<'_> {
             sums
         };
         let vertices = (0..self.vertex_count() as u32).into_par_iter().with_min_len(CHUNK);
-        let mixed = context.until_cancelled(vertices).filter(|v| self.is_mixed(*v, labels));
+        let adds = |v: &u32| self.at_border(*v) != AtBorder::Within || self.is_mixed(*v, labels);
+        let mixed = context.until_cancelled(vertices).filter(adds);
         // Whole numbers: the sums do not depend on the order.
         let now = mixed.fold(none, of_vertex).reduce(none, add);
         context.check()?;
         let of_label = |[one, other]: &[i64; 2]| [one.min(other), one.max(other)].map(|n| TWELFTHS * n);
         Ok(EulerRanges { now, wanted: wanted.iter().map(of_label).collect() })
+    }
+
+    /// Whether what a vertex adds follows from the faces of a disc.
+    fn has_disc(&self, vertex: u32) -> bool {
+        self.has_links(vertex) && self.at_border(vertex) == AtBorder::Within
     }
 
     /// What a vertex on the surface of a label adds to its Euler numbers; the links of the vertex, if it has them.
@@ -145,17 +159,31 @@ impl InterfaceTopology<'_> {
     }
 
     /// As [`euler_at`](Self::euler_at), whatever the surface is there: half of each edge, a third of each face, a quarter of each
-    /// element, in twelfths.
+    /// element, in twelfths; where corners lie beyond the border, more of what is inside there.
     fn euler_by_lists(&self, vertex: u32, label: Label, labels: &[Label]) -> EulerNumbers {
+        if self.at_border(vertex) == AtBorder::Beyond {
+            return [0; 2];
+        }
         let own = self.ball(vertex).iter().filter(|e| labels[**e as usize].is_in_solid_of(label));
         let (mut edges, mut faces) = (Vec::new(), Vec::new());
+        let beyond =
+            |corners: &[u32]| corners.iter().filter(|v| self.at_border(**v) == AtBorder::Beyond).count() as i64;
+        // What a simplex of the vertex and others adds to a closed body and to an open one.
+        let shares = |others: &[u32]| {
+            let count = others.len() as i64 + 1;
+            match beyond(others) {
+                0 => [TWELFTHS / count; 2],
+                outside => [0, TWELFTHS / (count - outside)],
+            }
+        };
+        let mut of_elements = [0; 2];
         let mut elements = 0;
         for element in own {
-            let tet = self.tets[*element as usize];
-            let at = tet.iter().position(|v| *v == vertex).unwrap_or(0);
-            let rest = TET_FACES[at].map(|v| tet[v]);
+            let rest = opposite_to(vertex, self.tets[*element as usize]);
             edges.extend(rest);
             faces.extend([[0, 1], [1, 2], [0, 2]].map(|[a, b]| [rest[a].min(rest[b]), rest[a].max(rest[b])]));
+            let share = shares(&rest);
+            of_elements = [of_elements[0] + share[0], of_elements[1] + share[1]];
             elements += 1;
         }
         if elements == 0 {
@@ -163,15 +191,28 @@ impl InterfaceTopology<'_> {
         }
         edges.sort_unstable();
         faces.sort_unstable();
-        let inner_faces = faces.chunk_by(|l, r| l == r).filter(|run| run.len() == 2).count() as i64;
+        // Inside of the body are faces with two elements, and edges that as many faces as elements go around.
+        let of_faces = faces.chunk_by(|l, r| l == r).fold([0; 2], |sum, run| {
+            let share = shares(&run[0]);
+            [sum[0] + share[0], sum[1] + if run.len() == 2 { share[1] } else { 0 }]
+        });
         faces.dedup();
         let mut faces_of_edges: Vec<u32> = faces.as_flattened().to_vec();
         faces_of_edges.sort_unstable();
-        // As many faces as elements go around an edge inside.
-        let runs = || edges.chunk_by(|l, r| l == r).zip(faces_of_edges.chunk_by(|l, r| l == r));
-        let inner_edges = runs().filter(|(elements, faces)| elements.len() == faces.len()).count() as i64;
-        let (edges, faces) = (runs().count() as i64, faces.len() as i64);
-        [TWELFTHS - 6 * edges + 4 * faces - 3 * elements, 6 * inner_edges - 4 * inner_faces + 3 * elements]
+        let runs = edges.chunk_by(|l, r| l == r).zip(faces_of_edges.chunk_by(|l, r| l == r));
+        let of_edges = runs.fold([0; 2], |sum, (elements, faces)| {
+            let share = shares(&elements[..1]);
+            let is_inner = elements.len() == faces.len();
+            [sum[0] + share[0], sum[1] + if is_inner { share[1] } else { 0 }]
+        });
+        if of_edges[0] == 0 {
+            // Nothing else of the body is inside around a tip: it goes with the cut, or as a piece without a voxel.
+            return [0; 2];
+        }
+        // The vertex itself is inside where all around it is: its faces and edges and nothing else.
+        let is_inner = !self.is_open(vertex) && elements == self.ball(vertex).len();
+        let own = if is_inner { TWELFTHS } else { 0 };
+        [TWELFTHS - of_edges[0] + of_faces[0] - of_elements[0], of_edges[1] - of_faces[1] + of_elements[1] - own]
     }
 
     /// What the Euler numbers of the labels concerned change by when `elements` take `label`.
@@ -203,7 +244,14 @@ impl InterfaceTopology<'_> {
         for v in group {
             for simplex in self.simplices_from(*v, group, labels).chunk_by(|l, r| l.0 == r.0) {
                 let corners = simplex[0].0.iter().filter(|v| **v != u32::MAX);
-                let is_within = corners.clone().all(|v| group.binary_search(v).is_ok());
+                let is_beyond = |v: &&u32| self.at_border(**v) == AtBorder::Beyond;
+                let is_in_group = |v: &&u32| group.binary_search(v).is_ok();
+                // Around vertices beyond the border nothing that is left changes.
+                if corners.clone().filter(|v| !is_beyond(v)).all(|v| !is_in_group(&v)) {
+                    continue;
+                }
+                let is_cut = corners.clone().any(|v| is_beyond(&v));
+                let is_within = corners.clone().all(|v| is_in_group(&v));
                 let sign = if corners.count() % 2 == 1 { TWELFTHS } else { -TWELFTHS };
                 let is_outside = simplex[0].1.is_none();
                 for filling in &mut fillings {
@@ -217,7 +265,7 @@ impl InterfaceTopology<'_> {
                             .any(|(_, own)| own.is_some_and(|own| own.is_in_solid_of(filling.label) == is_body));
                         // What the neighbourhood joins gets what its vertices span and did not have; what it is taken from loses that,
                         // but for the rim, where what is cut has one dimension less.
-                        let joins = if is_within && !is_on_side { sign } else { 0 };
+                        let joins = if is_within && !is_on_side && !(is_cut && is_body) { sign } else { 0 };
                         let leaves = if is_on_side { -sign } else { 0 };
                         let (joined, taken) = if is_body { (joins, leaves) } else { (leaves, joins) };
                         filling.joined[side] += joined;
@@ -255,10 +303,11 @@ impl InterfaceTopology<'_> {
 
     fn euler_at_if_mixed(&self, vertex: u32, label: Label, labels: &[Label]) -> EulerNumbers {
         let is_in = |e: &u32| labels[*e as usize].is_in_solid_of(label);
-        if !self.is_open(vertex) && self.ball(vertex).iter().all(is_in) {
+        let is_within = self.at_border(vertex) == AtBorder::Within;
+        if is_within && !self.is_open(vertex) && self.ball(vertex).iter().all(is_in) {
             return [0; 2];
         }
-        let links = self.has_links(vertex).then(|| self.links(vertex));
+        let links = self.has_disc(vertex).then(|| self.links(vertex));
         self.euler_at(vertex, label, labels, links.as_ref())
     }
 }

@@ -39,6 +39,19 @@ pub struct InterfaceTopology<'a> {
     balls: Vec<u32>,
     /// Whether a face at the vertex has nothing behind it.
     open: Vec<bool>,
+    /// Where each vertex lies, if the elements are to be cut where the image ends; else none.
+    border: Vec<AtBorder>,
+}
+
+/// Where a vertex lies against the border of the image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum AtBorder {
+    /// Inside, with all around it.
+    Within,
+    /// Inside, next to a vertex that is not.
+    Next,
+    /// Outside.
+    Beyond,
 }
 
 /// Most elements of a ball whose groups are counted in one word of marks.
@@ -112,7 +125,29 @@ impl<'a> InterfaceTopology<'a> {
                 face.iter().for_each(|v| open[tet[*v] as usize] = true);
             }
         }
-        Ok(Self { tets, neighbors, starts, balls, open })
+        Ok(Self { tets, neighbors, starts, balls, open, border: Vec::new() })
+    }
+
+    /// The elements are to be cut where the image ends: Euler numbers are those of what is left inside. `is_inside` tells for each
+    /// vertex whether it is.
+    pub fn cut_at_border(&mut self, is_inside: &[bool]) {
+        let at = |is_inside: &bool| if *is_inside { AtBorder::Within } else { AtBorder::Beyond };
+        let mut border: Vec<AtBorder> = is_inside.iter().map(at).collect();
+        for tet in self.tets {
+            if tet.iter().any(|v| border[*v as usize] == AtBorder::Beyond) {
+                for v in *tet {
+                    let at = &mut border[v as usize];
+                    *at = if *at == AtBorder::Within { AtBorder::Next } else { *at };
+                }
+            }
+        }
+        self.border = border;
+    }
+
+    /// Where a vertex lies against the border that the elements are cut at.
+    #[inline]
+    pub(super) fn at_border(&self, vertex: u32) -> AtBorder {
+        self.border.get(vertex as usize).copied().unwrap_or(AtBorder::Within)
     }
 
     /// Number of vertices.
@@ -208,6 +243,9 @@ impl<'a> InterfaceTopology<'a> {
 
     /// The excess of a vertex, whose links may be known.
     fn excess_with(&self, vertex: u32, labels: &[Label], known: Option<&Links>) -> i64 {
+        if self.at_border(vertex) == AtBorder::Beyond {
+            return 0;
+        }
         let ball = self.ball(vertex);
         let first = ball.first().map(|e| labels[*e as usize]);
         if ball.iter().all(|e| Some(labels[*e as usize]) == first) {

@@ -18,9 +18,13 @@ use crate::lattice::interface_carving::Regions;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::voxel_fidelity::{for_each_component, for_each_voxel};
+use crate::mesh::numbering::TET_FACES;
 
 /// Elements of a region between two looks at whether the run is cancelled: a few milliseconds.
 const ELEMENTS_PER_CHECK: usize = 1 << 16;
+
+/// Elements per parallel work item.
+const CHUNK: usize = 4096;
 
 /// What may be joined: the region of each element, and how many regions more than the image each label has.
 pub fn joinable_regions(elements: &Elements, regions: &[(Label, Vec<u32>)], surplus: Vec<i64>) -> Regions {
@@ -101,6 +105,31 @@ pub fn regions_with_background(
     context: &RunContext,
 ) -> Result<Vec<(Label, Vec<u32>)>> {
     regions_where(labels, neighbors, context, |_| true)
+}
+
+/// As [`regions_of`], of what is left of the elements inside of the image; `is_inside` tells of each vertex whether it is there.
+///
+/// # Errors
+/// As [`regions_of`].
+pub fn regions_inside(
+    tets: &[[u32; 4]],
+    labels: &[Label],
+    neighbors: &[[u32; 4]],
+    is_inside: &[bool],
+    context: &RunContext,
+) -> Result<Vec<(Label, Vec<u32>)>> {
+    let any_inside = |tet: &[u32; 4], corners: &[usize]| corners.iter().any(|v| is_inside[tet[*v] as usize]);
+    // What lies beyond has no part in it, nor do faces there.
+    let of_element =
+        |tet: &[u32; 4], label: &Label| if any_inside(tet, &[0, 1, 2, 3]) { *label } else { Label::BACKGROUND };
+    let across = |tet: &[u32; 4], row: &[u32; 4]| {
+        std::array::from_fn(|face| if any_inside(tet, &TET_FACES[face]) { row[face] } else { OUTSIDE })
+    };
+    let labels: Vec<Label> = tets.par_iter().with_min_len(CHUNK).zip(labels).map(|(t, l)| of_element(t, l)).collect();
+    let neighbors: Vec<[u32; 4]> =
+        tets.par_iter().with_min_len(CHUNK).zip(neighbors).map(|(t, row)| across(t, row)).collect();
+    context.check()?;
+    regions_of(&labels, &neighbors, context)
 }
 
 /// Elements connected through faces within one label that passes.
