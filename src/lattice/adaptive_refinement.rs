@@ -13,7 +13,8 @@
 //! 5. Where surfaces are smoothed or checked, pinches are relabelled ([`super::interface_topology`]). Then refinement goes on for a
 //!    few rounds where a label is broken ([`super::region_gaps`]) or components of one are joined ([`super::region_joints`]), with
 //!    the check also where pinches are left and where a label has other tunnels than the image ([`super::topology_differences`]).
-//!    What still pinches is carved ([`super::interface_carving`]).
+//!    What still pinches is carved ([`super::interface_carving`]). Where the border of the image cuts the elements afterwards
+//!    ([`super::border_clipping`]), what is left inside counts.
 //!
 //! A relabelling of 3 or 5 gives no two labels a contact that the image does not have ([`super::image_contacts`]).
 //!
@@ -534,9 +535,10 @@ impl Rounds<'_> {
                 None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
             };
             // Carving chooses the numbers of the image where they are within reach.
-            let may_carve = limit.rounds_left + PINCH_ROUNDS <= TOPOLOGY_ROUNDS
-                && !marked.contains(&true)
-                && known.differing().into_iter().all(|label| known.out_of_reach(label).is_none());
+            let mut others = known.differing();
+            others.retain(|label| known.out_of_reach(*label).is_some());
+            let may_carve =
+                limit.rounds_left + PINCH_ROUNDS <= TOPOLOGY_ROUNDS && !marked.contains(&true) && others.is_empty();
             if !may_carve {
                 let around = topology.elements_around(&pinched);
                 self.mark_refinable(lattice, elements, &around, limit.finest, &mut marked);
@@ -544,6 +546,11 @@ impl Rounds<'_> {
                     .report
                     .timed("topology", || elements_at_differences(lattice, elements, neighbors, &known, context))?;
                 self.mark_refinable(lattice, elements, &differing, limit.finest, &mut marked);
+                if !marked.contains(&true) && !others.is_empty() {
+                    // What the voxels do not show can be between them and the border.
+                    let across = topology.elements_across_border(&others, &elements.labels);
+                    self.mark_refinable(lattice, elements, &across, limit.finest, &mut marked);
+                }
             }
             euler = Some(known);
         }

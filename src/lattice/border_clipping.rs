@@ -2,12 +2,12 @@
 //!
 //! # Method
 //! The lattice runs past the image border in a zigzag. For each border plane that the mesh reaches:
-//! 1. Vertices next to the plane, measured along the edges that cross it, are moved onto it, where that spoils no element.
+//! 1. Vertices next to the plane are moved onto it, or away from it ([`border_snapping`](crate::lattice::border_snapping)).
 //! 2. Elements that still cross it are cut along it. Edges are cut where they meet the plane; a face that becomes a
 //!    quadrilateral is divided from that of its two inner vertices that is nearer to the plane, so neighbours agree.
 //! 3. What lies beyond is left out. What is left of an element has its label, which past the border is that of the nearest voxels
-//!    ([`PastBorder`](crate::lattice::bcc_lattice::PastBorder)); of a background element it takes the label of the voxels there, but
-//!    for those that run past a plane which the mesh does not reach and nothing cuts.
+//!    ([`PastBorder`](crate::lattice::bcc_lattice::PastBorder)). It takes another one for the sake of smoothing where its label and
+//!    the other keep their topology.
 //! ```text
 //!     \/\/\/\/\/   elements past the border          ----------- cut; a vertex next to the plane has moved onto it
 //!     /\/\/\/\/\                          ->         /\/\/\/\/\
@@ -22,7 +22,9 @@
 //! [LabelleShewchuk2007] for the move onto the surface before the cut, which bounds the angles.
 //!
 //! # Invariants
-//! The mesh conforms; vertices on a border plane have its coordinate exactly.
+//! The mesh conforms; vertices on a border plane have its coordinate exactly. The cut makes no label pinch, and leaves of each what is
+//! joined as its elements are inside: their Euler numbers there are those that refinement has seen
+//! ([`euler_ranges`](crate::lattice::euler_ranges)).
 //!
 //! # Limits
 //! A plane beyond which a fixed point lies is left alone.

@@ -257,3 +257,72 @@ impl<'a> Topology<'a> {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::tetrahedron::volume6;
+    use crate::index::{Label, VertexId};
+    use crate::lattice::bcc_lattice::PastBorder;
+    use crate::lattice::candidate_mesh::CandidateMesh;
+    use crate::lattice::mixed_elements::compact;
+    use crate::lattice::test_images::{euler_numbers_where, foam, with_lattice_past};
+
+    #[test]
+    fn vertices_go_onto_the_plane_or_away_from_it_and_labels_keep_their_topology() {
+        with_lattice_past(PastBorder::Continued, &foam(15), 1.7, |lattice, context| {
+            let elements = lattice.elements(context).unwrap();
+            let mut mesh = compact(&lattice, &elements, &[], true, context).unwrap();
+            let mut work = Clipping::new(&mut mesh);
+            let plane = Plane { axis: 2, at: -0.5, is_low: true };
+            let mut heights: Vec<f64> = work.points.iter().map(|p| plane.at - p.z).collect();
+            let before = heights.clone();
+            let euler = |work: &Clipping, heights: &[f64]| {
+                euler_numbers_where(&work.tets, &work.labels, |v| heights[v as usize] < 0.0)
+            };
+            let wanted = euler(&work, &heights);
+            let moved = move_vertices(&mut work, &mut heights, plane);
+            assert_eq!(euler(&work, &heights), wanted);
+            let (on, away): (Vec<usize>, Vec<usize>) = moved.into_iter().partition(|v| heights[*v] == 0.0);
+            assert!(on.len() > 50 && !away.is_empty(), "{} {}", on.len(), away.len());
+            assert!(on.iter().all(|v| work.points[*v].z == plane.at));
+            // On their own side, and where their heights are.
+            let has_gone = |v: &usize| {
+                heights[*v] / before[*v] > 1.0 && (plane.at - work.points[*v].z - heights[*v]).abs() < 1e-12
+            };
+            assert!(away.iter().all(has_gone));
+        });
+    }
+
+    #[test]
+    fn a_vertex_that_holds_a_label_together_stays_off_the_plane() {
+        // Vertex 0 just below the plane z = 0, between two tets of label 1 that share the edge to vertex 1 above, in a ring of
+        // label 2. Without the vertex nothing of label 1 would be joined below.
+        let ring = [[1.0, 0.0], [0.3, 1.0], [-1.0, 0.3], [-0.8, -0.8], [0.4, -1.0]];
+        let mut points = vec![DVec3::new(0.0, 0.0, -0.05), DVec3::new(0.0, 0.0, 1.0), DVec3::new(0.0, 0.0, -1.0)];
+        points.extend(ring.map(|[x, y]| DVec3::new(x, y, -0.4)));
+        let positive = |mut tet: [u32; 4]| {
+            if volume6(tet.map(|v| points[v as usize])) < 0.0 {
+                tet.swap(2, 3);
+            }
+            tet.map(VertexId)
+        };
+        let around = |apex: u32| (0..5u32).map(move |i| [0, 3 + i, 3 + (i + 1) % 5, apex]);
+        let labels_above = [1, 2, 1, 2, 2];
+        let moved = |above: [u16; 5]| {
+            let mut mesh = CandidateMesh {
+                points: points.clone(),
+                tets: around(1).chain(around(2)).map(positive).collect(),
+                tet_labels: above.into_iter().chain([2; 5]).map(Label).collect(),
+                ..CandidateMesh::default()
+            };
+            let mut work = Clipping::new(&mut mesh);
+            let mut heights: Vec<f64> = work.points.iter().map(|p| p.z).collect();
+            move_vertices(&mut work, &mut heights, Plane { axis: 2, at: 0.0, is_low: false });
+            heights[0]
+        };
+        assert!(moved(labels_above) < -0.05, "{}", moved(labels_above));
+        // Beside each other they are one part.
+        assert_eq!(moved([1, 1, 2, 2, 2]), 0.0);
+    }
+}

@@ -326,8 +326,9 @@ fn faces_of_disc(is_in: impl ExactSizeIterator<Item = bool>, links: &Links) -> O
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lattice::bcc_lattice::PastBorder;
     use crate::lattice::face_adjacency::neighbors_of;
-    use crate::lattice::test_images::{voxel_image, with_lattice};
+    use crate::lattice::test_images::{euler_numbers_where, foam, voxel_image, with_lattice, with_lattice_past};
     use glam::DVec3;
 
     #[test]
@@ -359,6 +360,36 @@ mod tests {
                 ranges.now,
                 topology.euler_ranges(&elements.labels, &[[0; 2], [0; 2], [1; 2]], context).unwrap().now
             );
+        });
+    }
+
+    #[test]
+    fn numbers_of_elements_cut_at_the_border_are_those_of_what_is_left() {
+        with_lattice_past(PastBorder::Continued, &foam(13), 2.3, |lattice, context| {
+            let mut elements = lattice.elements(context).unwrap();
+            let positions = &lattice.vertices.positions;
+            let inside: Vec<bool> = positions.iter().map(|p| lattice.field.contains(lattice.frame.local(*p))).collect();
+            let neighbors = neighbors_of(&elements.tets, positions.len(), context).unwrap();
+            let mut topology = InterfaceTopology::new(&elements.tets, &neighbors, positions.len(), context).unwrap();
+            let numbers = |topology: &InterfaceTopology, labels: &[Label]| {
+                topology.euler_ranges(labels, &[[0; 2]; 4], context).unwrap().now
+            };
+            let whole = numbers(&topology, &elements.labels);
+            topology.cut_at_border(&inside);
+            let mut ranges = topology.euler_ranges(&elements.labels, &[[0; 2]; 4], context).unwrap();
+            let closed: Vec<i64> = ranges.now[1..].iter().map(|now| now[0] / TWELFTHS).collect();
+            assert_eq!(closed, euler_numbers_where(&elements.tets, &elements.labels, |v| inside[v as usize]));
+            assert!(
+                ranges.now != whole && ranges.now.as_flattened().iter().all(|now| now % TWELFTHS == 0),
+                "{ranges:?}"
+            );
+            for step in 0..40 {
+                let (e, label) = ((step * 7919) % elements.tets.len(), Label(1 + (step % 3) as u16));
+                let changes = topology.euler_changes(&[e as u32], label, &mut elements.labels);
+                elements.labels[e] = label;
+                ranges.add(&changes);
+            }
+            assert_eq!(ranges.now[1..], numbers(&topology, &elements.labels)[1..]);
         });
     }
 

@@ -236,6 +236,18 @@ impl<'a> InterfaceTopology<'a> {
             .map(move |f| (f, self.neighbors[element as usize][f]))
     }
 
+    /// The elements with vertices on both sides of the border that have a vertex where one of some labels meets another, increasing.
+    pub fn elements_across_border(&self, of_labels: &[Label], labels: &[Label]) -> Vec<u32> {
+        let is_met =
+            |v: &u32| self.is_mixed(*v, labels) && of_labels.iter().any(|own| self.has_label(*v, *own, labels));
+        let is_across = |e: &u32| {
+            let tet = &self.tets[*e as usize];
+            let has = |at: AtBorder| tet.iter().any(|v| self.at_border(*v) == at);
+            has(AtBorder::Next) && has(AtBorder::Beyond) && tet.iter().any(is_met)
+        };
+        (0..self.tets.len() as u32).into_par_iter().with_min_len(CHUNK).filter(is_across).collect()
+    }
+
     /// How many further groups of elements the labels around a vertex have; above zero their surfaces pinch there.
     pub fn excess(&self, vertex: u32, labels: &[Label]) -> i64 {
         self.excess_with(vertex, labels, None)
@@ -600,6 +612,34 @@ mod tests {
         }
         // Two opposite corners apart, for one.
         assert!(pinched > 0 && topology.excess(0, &[1, 0, 0, 0, 0, 0, 0, 1].map(Label)) == 1);
+    }
+
+    #[test]
+    fn an_element_is_simple_where_both_labels_keep_their_shape() {
+        // The eight tets of an octahedron around vertex 0.
+        let corner = |octant: u32, axis: u32| 1 + axis + 3 * (octant >> axis & 1);
+        let tets: Vec<[u32; 4]> = (0..8).map(|o| [0, corner(o, 0), corner(o, 1), corner(o, 2)]).collect();
+        let context = RunContext::with_threads(1).unwrap();
+        let neighbors = neighbors_of(&tets, 7, &context).unwrap();
+        let topology = InterfaceTopology::new(&tets, &neighbors, 7, &context).unwrap();
+        let mut found = [0; 2];
+        for pattern in 0u32..256 {
+            let mut labels: Vec<Label> = (0..8).map(|o| Label(1 + (pattern >> o & 1) as u16)).collect();
+            for e in 0..8 {
+                let other = Label(3 - labels[e as usize].0);
+                let is_simple = topology.is_simple(e, other, &labels);
+                found[usize::from(is_simple)] += 1;
+                if is_simple {
+                    let excess = topology.excess(0, &labels);
+                    let changes = topology.euler_changes(&[e], other, &mut labels);
+                    assert!(changes.iter().all(|(_, change)| *change == [0; 2]), "{labels:?} {e} {changes:?}");
+                    let before = std::mem::replace(&mut labels[e as usize], other);
+                    assert!(topology.excess(0, &labels) <= excess, "{labels:?} {e}");
+                    labels[e as usize] = before;
+                }
+            }
+        }
+        assert!(found[0] > 500 && found[1] > 500, "{found:?}");
     }
 
     #[test]

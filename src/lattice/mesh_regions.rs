@@ -323,6 +323,23 @@ mod tests {
     }
 
     #[test]
+    fn what_hangs_together_beyond_the_border_only_is_in_pieces_inside() {
+        // Tets in a row: the third and the fourth share a face beyond, of the fourth nothing is inside.
+        let tets: Vec<[u32; 4]> = (0..6).map(|v| [v, v + 1, v + 2, v + 3]).collect();
+        let context = RunContext::with_threads(1).unwrap();
+        let neighbors = neighbors_of(&tets, 9, &context).unwrap();
+        let labels = [Label(1); 6];
+        let inside = |beyond: [u32; 4]| {
+            let is_inside: Vec<bool> = (0..9).map(|v| !beyond.contains(&v)).collect();
+            let found = regions_inside(&tets, &labels, &neighbors, &is_inside, &context).unwrap();
+            found.into_iter().map(|(_, region)| region).collect::<Vec<_>>()
+        };
+        assert_eq!(inside([9; 4]), [vec![0, 1, 2, 3, 4, 5]]);
+        assert_eq!(inside([3, 4, 5, 9]), [vec![0, 1, 2], vec![3, 4, 5]]);
+        assert_eq!(inside([3, 4, 5, 6]), [vec![0, 1, 2], vec![4, 5]]);
+    }
+
+    #[test]
     fn a_cancelled_run_finds_no_regions() {
         let context = RunContext::with_threads(1).unwrap();
         let found = || regions_of(&[Label(1); 2], &[[1, OUTSIDE, OUTSIDE, OUTSIDE], [0; 4]], &context);

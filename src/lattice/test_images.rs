@@ -40,15 +40,52 @@ pub fn fork_distance(p: DVec3, ends: [[f64; 3]; 3], radius: f64) -> f64 {
     rods.into_iter().fold(f64::INFINITY, f64::min)
 }
 
+/// Three labels in disorder that fill an image.
+pub fn foam(n: usize) -> LabelImage {
+    let wave =
+        |p: DVec3, k: f64| (0.66 * p.x + 1.3 * k).sin() + (0.88 * p.y + 2.1 * k).sin() + (0.77 * p.z + 0.7 * k).sin();
+    voxel_image(n, |p| {
+        let waves = [0.0, 1.0, 2.0].map(|k| wave(p * (1.0 + 0.13 * k), k));
+        1 + (0..3).max_by(|a, b| waves[*a].total_cmp(&waves[*b])).unwrap_or(0) as u16
+    })
+}
+
 /// Calls `work` with the coarsest lattice of an image, and a context of one thread.
 pub fn with_lattice<T>(image: &LabelImage, spacing: f64, work: impl FnOnce(RedGreenLattice, &RunContext) -> T) -> T {
+    with_lattice_past(PastBorder::Background, image, spacing, work)
+}
+
+/// As [`with_lattice`], of an image that is taken so past its border.
+pub fn with_lattice_past<T>(
+    border: PastBorder,
+    image: &LabelImage,
+    spacing: f64,
+    work: impl FnOnce(RedGreenLattice, &RunContext) -> T,
+) -> T {
     let context = RunContext::with_threads(1).unwrap();
     let distance = distance_to_other_labels(image, &context).unwrap();
     let frame = LatticeFrame::new(image, spacing).unwrap();
-    work(
-        RedGreenLattice::new(frame, Field::new(image, &distance, PastBorder::Background), 1 << 22, &context).unwrap(),
-        &context,
-    )
+    let field = Field::new(image, &distance, border);
+    work(RedGreenLattice::new(frame, field, 1 << 22, &context).unwrap(), &context)
+}
+
+/// Euler number of the simplices of some tets of which all corners pass, without vertices that stand alone, for each label from 1 on.
+pub fn euler_numbers_where(tets: &[[u32; 4]], labels: &[Label], passes: impl Fn(u32) -> bool) -> Vec<i64> {
+    let last = labels.iter().map(|label| label.0).max().unwrap_or(0);
+    let of_label = |own: u16| {
+        let mut simplices: Vec<Vec<u32>> = Vec::new();
+        for (tet, _) in tets.iter().zip(labels).filter(|(_, label)| label.0 == own) {
+            let corners_of = |set: u32| (0..4).filter(|at| set >> at & 1 == 1).map(|at| tet[at]).collect::<Vec<u32>>();
+            simplices.extend((1..16).map(corners_of).filter(|corners| corners.iter().all(|v| passes(*v))));
+        }
+        simplices.iter_mut().for_each(|corners| corners.sort_unstable());
+        simplices.sort_unstable();
+        simplices.dedup();
+        let edges: Vec<u32> = simplices.iter().filter(|corners| corners.len() == 2).flatten().copied().collect();
+        let is_tip = |corners: &&Vec<u32>| corners.len() == 1 && !edges.contains(&corners[0]);
+        simplices.iter().filter(|s| !is_tip(s)).map(|s| if s.len() % 2 == 1 { 1 } else { -1 }).sum()
+    };
+    (1..=last).map(of_label).collect()
 }
 
 /// All voxels of a cube, and whether they are inside of something.
