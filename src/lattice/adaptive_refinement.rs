@@ -526,31 +526,27 @@ impl Rounds<'_> {
         }
         let context = self.context;
         let topology = self.topology(lattice, &elements.tets, neighbors)?;
-        let pinched = topology.pinched(&elements.labels, context)?;
         let mut marked = vec![false; lattice.tets.len()];
         if limit.rounds_left > 0 {
-            marked = self.mark_other_pieces(lattice, elements, neighbors, limit.finest)?;
             let known = match euler {
                 Some(known) => known,
                 None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
             };
+            marked = self.mark_other_pieces(lattice, elements, neighbors, limit.finest)?;
+            let others = known.all_out_of_reach();
+            let has_settled = limit.rounds_left + PINCH_ROUNDS <= TOPOLOGY_ROUNDS;
             // Carving chooses the numbers of the image where they are within reach.
-            let mut others = known.differing();
-            others.retain(|label| known.out_of_reach(*label).is_some());
-            let may_carve =
-                limit.rounds_left + PINCH_ROUNDS <= TOPOLOGY_ROUNDS && !marked.contains(&true) && others.is_empty();
-            if !may_carve {
-                let around = topology.elements_around(&pinched);
-                self.mark_refinable(lattice, elements, &around, limit.finest, &mut marked);
-                let differing = self
-                    .report
-                    .timed("topology", || elements_at_differences(lattice, elements, neighbors, &known, context))?;
-                self.mark_refinable(lattice, elements, &differing, limit.finest, &mut marked);
-                if !marked.contains(&true) && !others.is_empty() {
-                    // What the voxels do not show can be between them and the border.
-                    let across = topology.elements_across_border(&others, &elements.labels);
-                    self.mark_refinable(lattice, elements, &across, limit.finest, &mut marked);
-                }
+            if marked.contains(&true) || !others.is_empty() || !has_settled {
+                let concerned = self.report.timed("topology", || -> Result<Vec<u32>> {
+                    let pinched = topology.elements_around(&topology.pinched(&elements.labels, context)?);
+                    Ok([pinched, elements_at_differences(lattice, elements, neighbors, &known, context)?].concat())
+                })?;
+                self.mark_refinable(lattice, elements, &concerned, limit.finest, &mut marked);
+            }
+            if !marked.contains(&true) {
+                // What the voxels do not show can be between them and the border.
+                let across = topology.elements_across_border(&others, &elements.labels);
+                self.mark_refinable(lattice, elements, &across, limit.finest, &mut marked);
             }
             euler = Some(known);
         }
@@ -601,10 +597,9 @@ impl Rounds<'_> {
         let regions =
             self.report.timed("topology", || regions_with_background(&elements.labels, neighbors, context))?;
         // What hangs together past the border only is in pieces once it is cut.
-        let cut = match self.inside(lattice) {
-            Some(is_inside) => Some(regions_inside(&elements.tets, &elements.labels, neighbors, &is_inside, context)?),
-            None => None,
-        };
+        let inside = self.inside(lattice);
+        let of_cut = |inside: Vec<bool>| regions_inside(&elements.tets, &elements.labels, neighbors, &inside, context);
+        let cut = self.report.timed("topology", || inside.map(of_cut).transpose())?;
         let pieces = cut.as_ref().unwrap_or(&regions);
         let surplus = self.surplus(pieces)?;
         let components = &self.components;

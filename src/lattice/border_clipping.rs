@@ -22,9 +22,8 @@
 //! [LabelleShewchuk2007] for the move onto the surface before the cut, which bounds the angles.
 //!
 //! # Invariants
-//! The mesh conforms; vertices on a border plane have its coordinate exactly. The cut makes no label pinch, and leaves of each what is
-//! joined as its elements are inside: their Euler numbers there are those that refinement has seen
-//! ([`euler_ranges`](crate::lattice::euler_ranges)).
+//! The mesh conforms; vertices on a border plane have its coordinate exactly. What the cut leaves of a label has the Euler number that
+//! refinement has seen ([`euler_ranges`](crate::lattice::euler_ranges)), within the limits of the step that moves vertices.
 //!
 //! # Limits
 //! A plane beyond which a fixed point lies is left alone.

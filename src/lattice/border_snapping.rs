@@ -19,7 +19,8 @@
 //! change it, and does not where what it is joined with shrinks to a point.
 //!
 //! # Limits
-//! Vertices that are on the plane already are not looked at, nor those with elements of one label only.
+//! Vertices that are on the plane already are not looked at, nor those with elements of one label only. Where two planes meet, elements
+//! with no vertex inside of both can still cross what is inside: refinement does not see what is left of them.
 
 use glam::DVec3;
 use rayon::prelude::*;

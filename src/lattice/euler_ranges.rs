@@ -68,6 +68,13 @@ impl EulerRanges {
         changes.iter().filter(|(label, _)| has_one(*label)).map(farther).sum()
     }
 
+    /// The labels that have another Euler number than is wanted, whatever becomes of their pinches.
+    pub fn all_out_of_reach(&self) -> Vec<Label> {
+        let mut differing = self.differing();
+        differing.retain(|label| self.out_of_reach(*label).is_some());
+        differing
+    }
+
     /// Takes changes into account.
     pub fn add(&mut self, changes: &[(Label, EulerNumbers)]) {
         for (label, change) in changes {
@@ -120,7 +127,7 @@ impl InterfaceTopology<'_> {
             sums
         };
         let of_vertex = |mut sums: Vec<EulerNumbers>, v: u32| {
-            let links = self.has_disc(v).then(|| self.links(v));
+            let links = self.is_counted_by_faces(v).then(|| self.links(v));
             let mut around = self.labels_around(v, labels);
             if self.at_border(v) == AtBorder::Next && around.first() != Some(&Label::BACKGROUND) {
                 // All labels together are cut too.
@@ -134,17 +141,21 @@ impl InterfaceTopology<'_> {
             sums
         };
         let vertices = (0..self.vertex_count() as u32).into_par_iter().with_min_len(CHUNK);
-        let adds = |v: &u32| self.at_border(*v) != AtBorder::Within || self.is_mixed(*v, labels);
-        let mixed = context.until_cancelled(vertices).filter(adds);
+        let adds = |v: &u32| match self.at_border(*v) {
+            AtBorder::Within => self.is_mixed(*v, labels),
+            AtBorder::Next => true,
+            AtBorder::Beyond => false,
+        };
+        let adding = context.until_cancelled(vertices).filter(adds);
         // Whole numbers: the sums do not depend on the order.
-        let now = mixed.fold(none, of_vertex).reduce(none, add);
+        let now = adding.fold(none, of_vertex).reduce(none, add);
         context.check()?;
         let of_label = |[one, other]: &[i64; 2]| [one.min(other), one.max(other)].map(|n| TWELFTHS * n);
         Ok(EulerRanges { now, wanted: wanted.iter().map(of_label).collect() })
     }
 
-    /// Whether what a vertex adds follows from the faces of a disc.
-    fn has_disc(&self, vertex: u32) -> bool {
+    /// Whether what a vertex adds follows from its faces where a surface is one disc there.
+    fn is_counted_by_faces(&self, vertex: u32) -> bool {
         self.has_links(vertex) && self.at_border(vertex) == AtBorder::Within
     }
 
@@ -307,7 +318,7 @@ impl InterfaceTopology<'_> {
         if is_within && !self.is_open(vertex) && self.ball(vertex).iter().all(is_in) {
             return [0; 2];
         }
-        let links = self.has_disc(vertex).then(|| self.links(vertex));
+        let links = self.is_counted_by_faces(vertex).then(|| self.links(vertex));
         self.euler_at(vertex, label, labels, links.as_ref())
     }
 }

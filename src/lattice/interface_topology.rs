@@ -354,16 +354,17 @@ impl<'a> InterfaceTopology<'a> {
     pub fn is_simple(&self, element: u32, label: Label, labels: &[Label]) -> bool {
         let tet = self.tets[element as usize];
         [labels[element as usize], label].into_iter().all(|side| {
-            let others = || {
-                let around = tet.into_iter().flat_map(|v| self.ball(v));
-                around.filter(|e| **e != element && labels[**e as usize] == side).map(|e| {
-                    let shared = (0..4).filter(|at| self.tets[*e as usize].contains(&tet[*at]));
-                    shared.fold(0u8, |shared, at| shared | 1 << at)
-                })
+            // The corners that each other element of the side shares with it.
+            let is_other = |e: &&u32| **e != element && labels[**e as usize] == side;
+            let corners_shared = |e: &u32| {
+                let shared = (0..4).filter(|at| self.tets[*e as usize].contains(&tet[*at]));
+                shared.fold(0u8, |shared, at| shared | 1 << at)
             };
-            // All corners but one.
-            let faces: Vec<u8> = (0..4).map(|at| 15 & !(1 << at)).filter(|face| others().any(|e| e == *face)).collect();
-            (1..4).contains(&faces.len()) && others().all(|shared| faces.iter().any(|face| shared & !face == 0))
+            let shared: Vec<u8> =
+                tet.into_iter().flat_map(|v| self.ball(v)).filter(is_other).map(corners_shared).collect();
+            // A face is all corners but one.
+            let faces: Vec<u8> = (0..4).map(|at| 15 & !(1 << at)).filter(|face| shared.contains(face)).collect();
+            (1..4).contains(&faces.len()) && shared.iter().all(|shared| faces.iter().any(|face| shared & !face == 0))
         })
     }
 
