@@ -6,8 +6,8 @@
 //! 2. Elements that still cross it are cut along it. Edges are cut where they meet the plane; a face that becomes a
 //!    quadrilateral is divided from that of its two inner vertices that is nearer to the plane, so neighbours agree.
 //! 3. What lies beyond is left out. What is left of an element has its label, which past the border is that of the nearest voxels
-//!    ([`PastBorder`](crate::lattice::bcc_lattice::PastBorder)). It takes another one for the sake of smoothing where its label and
-//!    the other keep their topology.
+//!    ([`PastBorder`](crate::lattice::bcc_lattice::PastBorder)). Where its label and the other keep their topology it takes
+//!    another one: of a background element that of the voxels there, and what smoothing asks for.
 //! ```text
 //!     \/\/\/\/\/   elements past the border          ----------- cut; a vertex next to the plane has moved onto it
 //!     /\/\/\/\/\                          ->         /\/\/\/\/\
@@ -63,7 +63,7 @@ pub fn clip_at_border(mesh: &mut CandidateMesh, surface: &SubvoxelSurface, conte
     }
     let is_beyond = work.elements_beyond(surface);
     work.mark_changed();
-    work.relabel(&is_beyond, context)?;
+    work.relabel(surface, &is_beyond, context)?;
     work.finish(mesh);
     Ok(planes)
 }
@@ -168,8 +168,13 @@ impl Clipping {
         }
     }
 
+    /// The middle of an element.
+    fn center(&self, element: usize) -> DVec3 {
+        self.tets[element].iter().map(|v| self.points[*v as usize]).sum::<DVec3>() / 4.0
+    }
+
     /// The elements at the border get labels that surfaces can be smoothed with.
-    fn relabel(&mut self, is_beyond: &[bool], context: &RunContext) -> Result<()> {
+    fn relabel(&mut self, surface: &SubvoxelSurface, is_beyond: &[bool], context: &RunContext) -> Result<()> {
         let neighbors = neighbors_of(&self.tets, self.points.len(), context)?;
         // The plane is no surface that moves: an element counts as its own neighbour there.
         let mut continued = neighbors.clone();
@@ -184,6 +189,15 @@ impl Clipping {
         let may_take = |labels: &[Label], changed: &[u32], _: Label| {
             is_within(changed) && changed.iter().all(|e| relabels[*e as usize]) && !is_piece(&topology, labels, changed)
         };
+        // Of a background element the middle of what is left can lie in a label.
+        for e in 0..self.tets.len() {
+            if self.relabels[e] && !is_beyond[e] && self.labels[e].is_background() {
+                let label = surface.nearest_label(self.center(e));
+                if !label.is_background() && topology.is_simple(e as u32, label, &self.labels) {
+                    self.labels[e] = label;
+                }
+            }
+        }
         let may_take_simply = |labels: &[Label], changed: &[u32], label: Label| {
             may_take(labels, changed, label) && changed.iter().all(|e| topology.is_simple(*e, label, labels))
         };
@@ -491,10 +505,30 @@ mod tests {
             tets: tets.iter().map(|t| t.map(VertexId)).collect(),
             ..CandidateMesh::default()
         };
-        let mut work = Clipping::new(&mut mesh);
+        labels_after(Clipping::new(&mut mesh))
+    }
+
+    /// The labels when all elements may take others.
+    fn labels_after(mut work: Clipping) -> Vec<Label> {
+        let context = RunContext::with_threads(1).unwrap();
+        let (image, is_beyond) = (filled(), vec![false; work.tets.len()]);
         work.relabels.fill(true);
-        work.relabel(&vec![false; tets.len()], &RunContext::with_threads(1).unwrap()).unwrap();
+        work.relabel(&SubvoxelSurface::new(&image, &context).unwrap(), &is_beyond, &context).unwrap();
         work.labels
+    }
+
+    #[test]
+    fn background_whose_middle_lies_in_a_label_joins_it_as_long_as_some_is_left() {
+        // Four tets in a row where the image has label 1.
+        let points =
+            (0..7).map(|i| DVec3::new(4.0 + 0.3 * f64::from(i), 5.0 + f64::from(i % 3), 5.0 + f64::from(i % 2)));
+        let mut mesh = CandidateMesh {
+            points: points.collect(),
+            tets: (0..4).map(|v| [v, v + 1, v + 2, v + 3].map(VertexId)).collect(),
+            tet_labels: [1, 0, 0, 0].map(Label).to_vec(),
+            ..CandidateMesh::default()
+        };
+        assert_eq!(labels_after(Clipping::new(&mut mesh)), [1, 1, 1, 0].map(Label));
     }
 
     #[test]
