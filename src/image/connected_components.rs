@@ -212,6 +212,17 @@ fn root_of(parents: &mut [u32], mut run: u32) -> u32 {
     run
 }
 
+/// Components of each label; its mesh may have at most those through faces, and at least those through vertices too.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn component_counts(image: &LabelImage, connectivity: Connectivity, context: &RunContext) -> Result<Vec<i64>> {
+    let mut counts = vec![0; image.label_count()];
+    let components = Components::new(image, connectivity, Members::Foreground, context)?;
+    components.components().iter().for_each(|c| counts[c.label.index()] += 1);
+    Ok(counts)
+}
+
 /// Unites the sets of two members, each of which leads to its set's first one by `parents`; whether they were two.
 pub fn unite(parents: &mut [u32], a: u32, b: u32) -> bool {
     let (a, b) = (root_of(parents, a), root_of(parents, b));

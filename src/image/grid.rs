@@ -8,7 +8,7 @@
 //! A [`Grid`] has at least one voxel, spacings within [`SPACING_RANGE`], an origin that is not so far that voxels would be
 //! lost in its rounding, and an invertible direction.
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec3, IVec3};
 
 use crate::error::{Error, Result};
 
@@ -125,6 +125,11 @@ impl Grid {
     pub fn is_right_handed(&self) -> bool {
         self.direction.determinant() > 0.0
     }
+}
+
+/// The 27 places within one voxel of a place along each axis, itself among them.
+pub fn places_around(place: IVec3) -> impl Iterator<Item = IVec3> {
+    (0..27).map(move |n| place + IVec3::new(n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1))
 }
 
 #[cfg(test)]

@@ -1,6 +1,8 @@
 //! Images: where voxels are in the world, and what they hold.
 
 pub mod connected_components;
+pub mod contact_costs;
+pub mod contact_removal;
 pub mod distance_transform;
 pub mod euler_numbers;
 pub mod gaussian;

@@ -30,7 +30,7 @@ use rayon::prelude::*;
 
 use crate::context::RunContext;
 use crate::error::{Error, Finding, FindingCode, Result, Severity};
-use crate::image::connected_components::{Component, Components, Connectivity, Members};
+use crate::image::connected_components::{Component, Components, Connectivity, Members, component_counts};
 use crate::image::distance_transform::distance_to_other_labels;
 use crate::image::euler_numbers::euler_numbers;
 use crate::image::label_image::LabelImage;
@@ -44,8 +44,8 @@ use crate::lattice::image_contacts::ImageContacts;
 use crate::lattice::interface_carving::{Carved, Extent, FillingRules, Pinches, carve, choose_fillings};
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::mesh_regions::{
-    component_counts, fill_unseen_regions, joinable_regions, number_by_image, regions_inside, regions_of,
-    regions_with_background, relabel_loose_regions, surplus_of,
+    fill_unseen_regions, joinable_regions, number_by_image, regions_inside, regions_of, regions_with_background,
+    relabel_loose_regions, surplus_of,
 };
 use crate::lattice::missed_voxels::mark_missed_voxels;
 use crate::lattice::mixed_elements::{self, SurfaceCount};

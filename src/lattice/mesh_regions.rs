@@ -10,8 +10,7 @@ use rayon::prelude::*;
 
 use crate::context::RunContext;
 use crate::error::Result;
-use crate::image::connected_components::{Components, Connectivity, Members};
-use crate::image::label_image::LabelImage;
+use crate::image::connected_components::Components;
 use crate::index::Label;
 use crate::lattice::face_adjacency::OUTSIDE;
 use crate::lattice::interface_carving::Regions;
@@ -68,18 +67,7 @@ pub fn number_by_image(
     Ok(())
 }
 
-/// Components of each label in the image; through faces it is what its mesh may have at most, through vertices too at least.
-///
-/// # Errors
-/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
-pub fn component_counts(image: &LabelImage, connectivity: Connectivity, context: &RunContext) -> Result<Vec<i64>> {
-    let mut counts = vec![0; image.label_count()];
-    let components = Components::new(image, connectivity, Members::Foreground, context)?;
-    components.components().iter().for_each(|c| counts[c.label.index()] += 1);
-    Ok(counts)
-}
-
-/// Regions of each label in the mesh minus its components in the image ([`component_counts`]).
+/// Regions of each label in the mesh minus its components in the image (`component_counts`).
 pub fn surplus_of(regions: &[(Label, Vec<u32>)], in_image: &[i64]) -> Vec<i64> {
     let mut surplus: Vec<i64> = in_image.iter().map(|count| -count).collect();
     regions.iter().for_each(|(label, _)| surplus[label.index()] += 1);

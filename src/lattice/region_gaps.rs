@@ -159,10 +159,10 @@ fn gap_voxels(
 mod tests {
     use super::*;
     use crate::context::RunContext;
-    use crate::image::connected_components::Connectivity;
+    use crate::image::connected_components::{Connectivity, component_counts};
     use crate::image::label_image::LabelImage;
     use crate::lattice::face_adjacency::neighbors_of;
-    use crate::lattice::mesh_regions::{component_counts, joinable_regions, regions_of, surplus_of};
+    use crate::lattice::mesh_regions::{joinable_regions, regions_of, surplus_of};
     use crate::lattice::test_images::{voxel_image, with_lattice};
     use glam::DVec3;
 

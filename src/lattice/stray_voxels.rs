@@ -25,6 +25,7 @@ use rustc_hash::FxHashMap;
 
 use crate::context::RunContext;
 use crate::error::Result;
+use crate::image::grid::places_around;
 use crate::index::Label;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::subdivision_criteria::Targets;
@@ -56,8 +57,7 @@ pub fn mark_stray_voxels(
     let is_inside = |at: IVec3| at.cmpge(IVec3::ZERO).all() && at.cmplt(size).all();
     // The voxels of the same label that touch one.
     let beside = |at: IVec3| {
-        let near = (0..27).map(move |n| at + IVec3::new(n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1));
-        near.filter(move |near| *near != at && is_inside(*near) && label_at(*near) == label_at(at))
+        places_around(at).filter(move |near| *near != at && is_inside(*near) && label_at(*near) == label_at(at))
     };
     let mut mark = |at: IVec3| {
         let Some(leaf) = missed.get(&at) else { return };

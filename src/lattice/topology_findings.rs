@@ -18,14 +18,14 @@
 
 use crate::context::RunContext;
 use crate::error::{Finding, FindingCode, Result, Severity};
-use crate::image::connected_components::Connectivity;
+use crate::image::connected_components::{Connectivity, component_counts};
 use crate::image::euler_numbers::euler_numbers;
 use crate::image::label_image::LabelImage;
 use crate::index::Label;
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::euler_ranges::EulerRanges;
 use crate::lattice::interface_topology::InterfaceTopology;
-use crate::lattice::mesh_regions::{component_counts, regions_of, surplus_of};
+use crate::lattice::mesh_regions::{regions_of, surplus_of};
 
 /// Tells which labels of a mesh of tets have other pieces than in the image; `neighbors` of the tets, `values` are the caller's
 /// labels.

@@ -4,9 +4,9 @@ use glam::DVec3;
 
 use crate::context::RunContext;
 use crate::error::FindingCode;
+use crate::image::contact_removal::remove_contacts;
 use crate::image::euler_numbers::euler_numbers;
 use crate::image::label_image::LabelImage;
-use crate::image::voxel_contacts::remove_contacts;
 use crate::index::Label;
 use crate::lattice::face_adjacency::neighbors_of;
 use crate::lattice::interface_topology::InterfaceTopology;

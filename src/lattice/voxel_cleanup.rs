@@ -2,7 +2,7 @@
 //!
 //! # Method
 //! Up-sampling, isolated voxels, small regions, contacts, then a label of its own for each region where asked for; the
-//! operations are those of `image::morphology` and `image::voxel_contacts`. Every change is a finding with the label and the number of voxels.
+//! operations are those of `image::morphology` and `image::contact_removal`. Every change is a finding with the label and the number of voxels.
 //!
 //! # Source
 //! [Drakopoulos2017] 2.3.2.
@@ -11,9 +11,11 @@ use std::borrow::Cow;
 
 use crate::context::RunContext;
 use crate::error::{Finding, FindingCode, Result, Severity};
+use crate::image::connected_components::{Connectivity, component_counts};
+use crate::image::contact_costs::OutOfRange;
+use crate::image::contact_removal::{RemovedContacts, remove_contacts};
 use crate::image::label_image::LabelImage;
 use crate::image::morphology::{IsolatedKind, relabel_isolated, remove_small_regions, separate_regions, upsample};
-use crate::image::voxel_contacts::{RemovedContacts, remove_contacts};
 use crate::index::Label;
 use crate::lattice::options::{IsolatedVoxels, Options};
 use crate::lattice::report::Report;
@@ -60,20 +62,14 @@ pub fn clean<'a>(image: &'a LabelImage, options: &Options, context: &RunContext)
     }
     let before = clean.voxel_counts();
     if options.check_image_topology {
-        let RemovedContacts { voxels: changed, opened } = remove_contacts(clean.to_mut(), options.seed, context)?;
-        report.set("cleanup.contacts", changed as f64);
-        report.set("cleanup.opened_walls", opened as f64);
-        if opened > 0 {
-            let text = format!(
-                "removing contacts brought labels face to face in {opened} places where others lay between them"
-            );
-            context.report(Finding::new(FindingCode::VoxelsRelabelled, Severity::Warning, text));
-        }
-        if changed > 0 {
-            let text = format!("{changed} voxels were relabelled to remove contacts at edges and corners");
-            let finding = Finding::new(FindingCode::VoxelsRelabelled, Severity::Note, text);
-            context.report(finding.with_ids(-1, changed as i64));
-        }
+        let reading = |connectivity| component_counts(&clean, connectivity, context);
+        let counts = [reading(Connectivity::Vertex)?, reading(Connectivity::Face)?];
+        let removed = remove_contacts(clean.to_mut(), options.seed, context)?;
+        report.set("cleanup.contacts", removed.voxels as f64);
+        report.set("cleanup.opened_walls", removed.opened as f64);
+        tell_removed(removed, &clean, context);
+        let pieces = pieces_out_of_range(counts, &clean, context)?;
+        tell_topology(pieces, &clean, FindingCode::DisconnectedMesh, "the number of pieces", context);
     }
     let values = clean.values().to_vec();
     let voxel = clean.grid().spacing().element_product();
@@ -90,6 +86,46 @@ pub fn clean<'a>(image: &'a LabelImage, options: &Options, context: &RunContext)
     let volume = |(count, label): (u64, &Label)| count as f64 * shares[label.index()] * voxel;
     let volumes = regions.voxel_counts().into_iter().zip(&originals).map(volume).collect();
     Ok(CleanImage { image: Cow::Owned(regions), values, volumes, figures: report.statistics() })
+}
+
+/// Labels in more or fewer pieces than the two readings of the image have, whose counts are given.
+fn pieces_out_of_range(
+    [fewest, most]: [Vec<i64>; 2],
+    clean: &LabelImage,
+    context: &RunContext,
+) -> Result<Vec<OutOfRange>> {
+    let now = component_counts(clean, Connectivity::Face, context)?;
+    let of_label = |(label, number): (usize, i64)| {
+        let range = [fewest[label], most[label]];
+        let found = OutOfRange { label: Label(label as u16), number, range };
+        (number < range[0] || number > range[1]).then_some(found)
+    };
+    Ok(now.into_iter().enumerate().skip(1).filter_map(of_label).collect())
+}
+
+fn tell_removed(removed: RemovedContacts, image: &LabelImage, context: &RunContext) {
+    let RemovedContacts { voxels, opened, out_of_range } = removed;
+    if opened > 0 {
+        let text =
+            format!("removing contacts brought labels face to face in {opened} places where others lay between them");
+        context.report(Finding::new(FindingCode::VoxelsRelabelled, Severity::Warning, text));
+    }
+    tell_topology(out_of_range, image, FindingCode::OtherTopology, "the Euler number", context);
+    if voxels > 0 {
+        let text = format!("{voxels} voxels were relabelled to remove contacts at edges and corners");
+        let finding = Finding::new(FindingCode::VoxelsRelabelled, Severity::Note, text);
+        context.report(finding.with_ids(-1, voxels as i64));
+    }
+}
+
+fn tell_topology(found: Vec<OutOfRange>, image: &LabelImage, code: FindingCode, what: &str, context: &RunContext) {
+    for OutOfRange { label, number, range: [low, high] } in found {
+        let value = image.values()[label.index()];
+        let text =
+            format!("removing contacts gave label {value} {what} {number}, outside of the image's {low} to {high}");
+        let off = if number < low { number - low } else { number - high };
+        context.report(Finding::new(code, Severity::Warning, text).with_ids(i64::from(value), off));
+    }
 }
 
 fn tell(changed: &[u64], image: &LabelImage, what: &str, name: &str, report: &mut Report, context: &RunContext) {
@@ -122,9 +158,9 @@ mod tests {
     }
 
     #[test]
-    fn walls_that_are_opened_are_told() {
-        // Vessels that cross, in a wall of 1.6 voxels: where it touches itself and them at edges and corners of voxels only, none of its
-        // Euler numbers that the image has is left without a hole.
+    fn walls_stay_closed_where_another_voxel_can_take_their_place() {
+        // Vessels that cross, in a wall of 1.6 voxels: where it touches itself and them at edges and corners of voxels only, no voxels
+        // of the contact keep its Euler number without a hole; one beside them does.
         let vessels = [
             ([[8.22, 19.91, 7.84], [24.77, 21.06, 9.79]], 3.465),
             ([[14.71, 15.93, 17.02], [23.42, 14.34, 20.09]], 2.568),
@@ -133,13 +169,12 @@ mod tests {
         ];
         let beyond = |p: DVec3| vessels.map(|(ends, radius)| segment_distance(p, ends) - radius);
         let nearest = |p: DVec3| beyond(p).into_iter().fold(f64::INFINITY, f64::min);
-        let (count, warnings) = opened(&voxel_image(36, |p| match nearest(p) {
+        let vessels = opened(&voxel_image(36, |p| match nearest(p) {
             d if d < 0.0 => 1,
             d if d < 1.6185 => 2,
             _ => 0,
         }));
-        assert!(count > 0.0);
-        assert_eq!(warnings, [FindingCode::VoxelsRelabelled]);
+        assert_eq!(vessels, (0.0, Vec::new()));
         // A thick wall around a ball, with contacts of its voxels only.
         let ball = voxel_image(16, |p| match p.distance(DVec3::splat(7.3)) {
             d if d < 3.0 => 1,
@@ -147,5 +182,26 @@ mod tests {
             _ => 0,
         });
         assert_eq!(opened(&ball), (0.0, Vec::new()));
+    }
+
+    #[test]
+    fn what_the_removal_of_contacts_could_not_keep_is_told() {
+        let image = voxel_image(8, |p| u16::from(p.x < 3.0));
+        let context = RunContext::with_threads(1).unwrap();
+        let label = Label(1);
+        let off = OutOfRange { label, number: 5, range: [1, 3] };
+        tell_removed(RemovedContacts { voxels: 9, opened: 2, out_of_range: vec![off] }, &image, &context);
+        let pieces = pieces_out_of_range([vec![0, 2], vec![0, 4]], &image, &context).unwrap();
+        assert_eq!(pieces, [OutOfRange { label, number: 1, range: [2, 4] }]);
+        tell_topology(pieces, &image, FindingCode::DisconnectedMesh, "the number of pieces", &context);
+        let told: Vec<_> = context.take_findings().into_iter().map(|f| (f.code, f.severity, f.ids)).collect();
+        let expected = [
+            (FindingCode::VoxelsRelabelled, Severity::Warning, [-1, -1]),
+            (FindingCode::OtherTopology, Severity::Warning, [1, 2]),
+            (FindingCode::VoxelsRelabelled, Severity::Note, [-1, 9]),
+            (FindingCode::DisconnectedMesh, Severity::Warning, [1, -1]),
+        ];
+        assert_eq!(told, expected);
+        assert!(pieces_out_of_range([vec![0, 1], vec![0, 4]], &image, &context).unwrap().is_empty());
     }
 }
