@@ -96,11 +96,7 @@ fn move_away(work: &mut Clipping, heights: &mut [f64], mut vertices: Vec<usize>,
         let corners = |e: &u32, place: DVec3| {
             work.tets[*e as usize].map(|w| if w as usize == *v { place } else { work.points[w as usize] })
         };
-        let is_spoiled = |e: &u32| {
-            let moved = corners(e, after);
-            tet_fails(moved, &bound) && tet_score(moved) < tet_score(corners(e, before))
-        };
-        let may_move = !ball.iter().any(is_spoiled);
+        let may_move = !ball.iter().any(|e| is_lowered(corners(e, before), corners(e, after), &bound));
         if may_move {
             work.points[*v] = after;
             heights[*v] = far.copysign(own);
@@ -108,6 +104,11 @@ fn move_away(work: &mut Clipping, heights: &mut [f64], mut vertices: Vec<usize>,
         may_move
     });
     vertices
+}
+
+/// Whether a tet fails a bound once its vertices have moved, and is worse than before.
+fn is_lowered(before: [DVec3; 4], after: [DVec3; 4], bound: &Threshold) -> bool {
+    tet_fails(after, bound) && tet_score(after) < tet_score(before)
 }
 
 /// Vertices next to the plane.
@@ -144,7 +145,7 @@ fn retain_harmless(work: &Clipping, near: &mut Vec<usize>, heights: &[f64], plan
         let before = tet.map(|v| work.points[v as usize]);
         let mut after = before;
         tet.iter().zip(&mut after).filter(|(v, _)| is_moved(v)).for_each(|(_, place)| place[plane.axis] = plane.at);
-        tet_fails(after, &bound) && tet_score(after) < tet_score(before)
+        is_lowered(before, after, &bound)
     };
     loop {
         let spoiled = work.tets.par_iter().with_min_len(CHUNK).filter(|tet| is_spoiled(tet, &moves));

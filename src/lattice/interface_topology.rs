@@ -591,14 +591,23 @@ mod tests {
     use super::*;
     use crate::lattice::face_adjacency::neighbors_of;
 
-    #[test]
-    fn labels_around_a_closed_vertex_are_counted_by_marks_as_by_lists() {
-        // The eight tets of an octahedron around vertex 0; 1 to 3 and 4 to 6 are opposite to each other.
+    fn one_thread() -> RunContext {
+        RunContext::with_threads(1).unwrap()
+    }
+
+    /// The eight tets of an octahedron around vertex 0, with their neighbours; vertices 1 to 3 and 4 to 6 are opposite to each
+    /// other.
+    fn octahedron() -> (Vec<[u32; 4]>, Vec<[u32; 4]>) {
         let corner = |octant: u32, axis: u32| 1 + axis + 3 * (octant >> axis & 1);
         let tets: Vec<[u32; 4]> = (0..8).map(|o| [0, corner(o, 0), corner(o, 1), corner(o, 2)]).collect();
-        let context = RunContext::with_threads(1).unwrap();
-        let neighbors = neighbors_of(&tets, 7, &context).unwrap();
-        let topology = InterfaceTopology::new(&tets, &neighbors, 7, &context).unwrap();
+        let neighbors = neighbors_of(&tets, 7, &one_thread()).unwrap();
+        (tets, neighbors)
+    }
+
+    #[test]
+    fn labels_around_a_closed_vertex_are_counted_by_marks_as_by_lists() {
+        let (tets, neighbors) = octahedron();
+        let topology = InterfaceTopology::new(&tets, &neighbors, 7, &one_thread()).unwrap();
         assert!(!topology.is_open(0) && (1..7).all(|v| topology.is_open(v)));
         let mut pinched = 0;
         for pattern in 0u32..3u32.pow(8) {
@@ -617,12 +626,8 @@ mod tests {
 
     #[test]
     fn an_element_is_simple_where_both_labels_keep_their_shape() {
-        // The eight tets of an octahedron around vertex 0.
-        let corner = |octant: u32, axis: u32| 1 + axis + 3 * (octant >> axis & 1);
-        let tets: Vec<[u32; 4]> = (0..8).map(|o| [0, corner(o, 0), corner(o, 1), corner(o, 2)]).collect();
-        let context = RunContext::with_threads(1).unwrap();
-        let neighbors = neighbors_of(&tets, 7, &context).unwrap();
-        let topology = InterfaceTopology::new(&tets, &neighbors, 7, &context).unwrap();
+        let (tets, neighbors) = octahedron();
+        let topology = InterfaceTopology::new(&tets, &neighbors, 7, &one_thread()).unwrap();
         let mut found = [0; 2];
         for pattern in 0u32..256 {
             let mut labels: Vec<Label> = (0..8).map(|o| Label(1 + (pattern >> o & 1) as u16)).collect();
@@ -646,7 +651,7 @@ mod tests {
     #[test]
     fn a_cancelled_run_looks_for_no_pinches() {
         let tets = [[0, 1, 2, 3], [0, 4, 5, 6]];
-        let context = RunContext::with_threads(1).unwrap();
+        let context = one_thread();
         let neighbors = neighbors_of(&tets, 7, &context).unwrap();
         let topology = InterfaceTopology::new(&tets, &neighbors, 7, &context).unwrap();
         let mut labels = [Label(1); 2];
