@@ -479,14 +479,15 @@ impl Rounds<'_> {
         let wanted = self.input.region_threshold.map(|_| self.euler.as_slice());
         let of_mesh = |wanted| self.report.timed("topology", || topology.euler_ranges(&unchanged, wanted, context));
         let euler = wanted.map(of_mesh).transpose()?;
+        let pinched = self.report.timed("topology", || topology.pinched(&unchanged, context))?;
         for most_lost in [usize::MAX, 0] {
             let may_lose = |labels: &[Label], changed: &[u32], label: Label| {
                 voxels_lost(labels, changed, label).filter(|lost| *lost <= most_lost)
             };
             let mut euler_then = euler.clone();
-            let changed = self
-                .report
-                .timed("topology", || topology.repair(&mut elements.labels, euler_then.as_mut(), context, may_lose))?;
+            let (from, labels) = (pinched.clone(), &mut elements.labels);
+            let repair = || topology.repair_from(from, labels, euler_then.as_mut(), context, may_lose);
+            let changed = self.report.timed("topology", repair)?.len();
             if changed == 0 {
                 break;
             }
