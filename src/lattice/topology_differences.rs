@@ -6,7 +6,7 @@
 //! 2. Voxels in which they differ join or leave the body as long as they are simple
 //!    ([`simple_voxels`](crate::image::simple_voxels)): the body becomes more like its goal, its topology stays.
 //! 3. What still differs then is where the topologies do. Where nothing does the difference lies between voxel centres: the
-//!    voxels that are not simple in the image are the places then, if they are few.
+//!    voxels that are not simple in the image are the places then: bridges, walls, tunnels and gaps one voxel wide.
 //!
 //! ```text
 //!     image        goal: voxels in elements     what is left
@@ -18,7 +18,8 @@
 //! Our own, from homotopic thinning [KongRosenfeld1989], [BertrandMalandain1994].
 //!
 //! # Limits
-//! Voxels of a goal that touch along edges or at corners are places, too, whatever the elements do there.
+//! Voxels of a goal that touch along edges or at corners are places, too, whatever the elements do there. Of a wall one voxel thick
+//! no voxel is simple: where the difference lies between voxel centres all of it is refined, to up to three times the elements.
 //!
 //! # Cost
 //! By the voxels at boundaries that lie in elements of other labels.
@@ -31,6 +32,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::context::RunContext;
 use crate::error::Result;
+use crate::image::grid::places_around;
 use crate::image::label_image::LabelImage;
 use crate::image::simple_voxels::{Block, SimpleVoxels, WHOLE_BLOCK};
 use crate::index::Label;
@@ -45,10 +47,6 @@ const CHUNK: usize = 1024;
 
 /// Voxels that may follow between two looks at whether the run is cancelled.
 const VOXELS_PER_CHECK: usize = 4096;
-
-/// Share of the voxels at a label's boundary above which they are not refined for not being simple: of a wall one voxel thick
-/// none is simple. A few in a hundred are on brains.
-const FEW_FRAGILE: f64 = 0.05;
 
 /// The elements with voxels by which the topologies of labels differ, and their neighbours through faces, increasing.
 ///
@@ -131,43 +129,32 @@ impl Body<'_> {
             let is_set = |at: IVec3| self.has(at) != followed.get(&at).is_some_and(|f| *f);
             if simple.is_simple(block_around(at, is_set)) {
                 followed.insert(at, true);
-                queue.extend(around(at).filter(|near| followed.get(near) == Some(&false)));
+                queue.extend(places_around(at).filter(|near| followed.get(near) == Some(&false)));
             }
         }
         differing.retain(|at| !followed[at]);
         Ok(differing)
     }
 
-    /// Voxels in and beside the body that are not simple, of bridges, walls, tunnels and gaps one voxel wide; none where they are
-    /// many.
+    /// Voxels in and beside the body that are not simple.
     fn fragile_voxels(&self, context: &RunContext) -> Result<Vec<IVec3>> {
         let simple = SimpleVoxels::default();
         let [ni, nj, nk] = self.image.grid().size().map(|s| s as i32);
-        // Whether a voxel is simple, for those at the boundary.
-        let look_at = |at: IVec3| {
-            let block = block_around(at, |near| self.has(near));
-            (block != 0 && block != WHOLE_BLOCK).then(|| (at, simple.is_simple(block)))
-        };
-        let row =
-            |row: i32| (0..ni).filter_map(move |i| look_at(IVec3::new(i, row % nj, row / nj))).collect::<Vec<_>>();
-        let boundary: Vec<(IVec3, bool)> = context.until_cancelled(0..nj * nk).flat_map_iter(row).collect();
-        context.check()?;
         // Beside the body means through a face: a voxel that touches it at a corner only is never simple, and of no bridge.
         let is_part = |at: IVec3| self.has(at) || STEPS.iter().any(|step| self.has(at + step));
-        let is_fragile = |(at, is_simple): &&(IVec3, bool)| !is_simple && is_part(*at);
-        let fragile: Vec<IVec3> = boundary.iter().filter(is_fragile).map(|(at, _)| *at).collect();
-        let are_few = (fragile.len() as f64) < FEW_FRAGILE * boundary.len() as f64;
-        Ok(if are_few { fragile } else { Vec::new() })
+        let is_fragile = |at: &IVec3| {
+            let block = block_around(*at, |near| self.has(near));
+            block != 0 && block != WHOLE_BLOCK && is_part(*at) && !simple.is_simple(block)
+        };
+        let row = |row: i32| (0..ni).map(move |i| IVec3::new(i, row % nj, row / nj)).filter(is_fragile);
+        let fragile = context.until_cancelled(0..nj * nk).flat_map_iter(row).collect();
+        context.check()?;
+        Ok(fragile)
     }
 }
 
-/// The 27 voxels around and at a place.
-fn around(at: IVec3) -> impl Iterator<Item = IVec3> {
-    (0..27).map(move |b| at + IVec3::new(b % 3, b / 3 % 3, b / 9) - 1)
-}
-
 fn block_around(at: IVec3, is_set: impl Fn(IVec3) -> bool) -> Block {
-    around(at).enumerate().filter(|(_, near)| is_set(*near)).fold(0, |block, (b, _)| block | 1 << b)
+    places_around(at).enumerate().filter(|(_, near)| is_set(*near)).fold(0, |block, (b, _)| block | 1 << b)
 }
 
 #[cfg(test)]
@@ -199,5 +186,16 @@ mod tests {
         context.cancel_token().cancel();
         assert!(matches!(body.what_stays(lost, &context), Err(crate::Error::Cancelled)));
         assert!(matches!(body.fragile_voxels(&context), Err(crate::Error::Cancelled)));
+    }
+
+    #[test]
+    fn of_a_wall_one_voxel_thick_all_but_the_rim_is_fragile() {
+        let is_inner = |p: glam::DVec3| (3.0..9.0).contains(&p.x) && (3.0..9.0).contains(&p.y);
+        let is_wall = |p: glam::DVec3| p.z == 5.0 && (2.0..10.0).contains(&p.x) && (2.0..10.0).contains(&p.y);
+        let image = voxel_image(12, |p| u16::from(is_wall(p)));
+        let body = Body { image: &image, label: Label(1) };
+        let fragile = body.fragile_voxels(&RunContext::with_threads(1).unwrap()).unwrap();
+        let inner: Vec<bool> = fragile.iter().filter(|at| body.has(**at)).map(|at| is_inner(at.as_dvec3())).collect();
+        assert_eq!(inner, [true; 36]);
     }
 }
