@@ -4,7 +4,7 @@
 //! Costs are compared in the order of the fields of [`Cost`]:
 //! 1. A voxel that has been changed `VISITS` times is left alone where it can: changes follow one another in a circle there.
 //! 2. How far it takes the Euler number of a label out of the range between the numbers of the label's 26- and 6-connected
-//!    voxels in the image, and whether it swallows the last voxel of a piece.
+//!    voxels in the image, and whether it swallows the last voxel of a piece or joins pieces that are two in either reading.
 //! 3. Which labels it brings face to face that do not touch near there: it opens the wall between them.
 //! 4. What it changes of the 26-connected number at all: joining p and q keeps it, opening a tunnel elsewhere does not. Where
 //!    two labels cross in one square, one is joined and the other parted, and it is the range that tells which.
@@ -18,6 +18,7 @@ use rustc_hash::FxHashMap;
 
 use crate::context::RunContext;
 use crate::error::Result;
+use crate::image::connected_components::{Components, Connectivity, Members, unite};
 use crate::image::euler_numbers::{corner_contributions, euler_numbers, label_at_corner};
 use crate::image::grid::places_around;
 use crate::image::label_contacts::touch_near;
@@ -41,7 +42,7 @@ pub struct Cost {
     pub circling: u32,
     /// How far the Euler numbers of the labels concerned are out of their ranges afterwards, in eighths.
     pub out_of_range: i64,
-    /// Labels of which a whole piece goes.
+    /// Pieces that go, as a whole or by being joined with another.
     pub lost: usize,
     /// Pairs of labels that lie face to face afterwards and did not near there before: walls that open.
     pub opened: usize,
@@ -57,12 +58,12 @@ pub struct Cost {
     pub voxels: usize,
 }
 
-/// A label whose Euler number has left the range between the two readings of the image.
+/// A label of which a number, Euler's or of its pieces, has left the range between the two readings of the image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct OutOfRange {
     /// The label.
     pub label: Label,
-    /// Its Euler number.
+    /// The number.
     pub number: i64,
     /// Least and largest number of the image.
     pub range: [i64; 2],
@@ -74,12 +75,16 @@ pub struct ContactCosts<'a> {
     pub image: &'a mut LabelImage,
     /// Contribution of a corner to the Euler number, in eighths, by which of its eight voxels are set: 26- and 6-connected.
     euler: [[i64; 256]; 2],
-    /// By label: Euler number of the 26-connected label at first; in eighths, how far it may change, and how far it has changed.
+    /// Euler number of each 26-connected label at first.
     first: Vec<i64>,
+    /// How far that may change and how far it has changed, in eighths.
     allowed: Vec<[i64; 2]>,
     changed_by: Vec<i64>,
-    /// How often voxels have been changed, by their places in the grid.
-    visits: FxHashMap<usize, u32>,
+    /// The 26-connected pieces of labels at first; each leads to the first of those that it was joined with.
+    pieces: Components,
+    parents: Vec<u32>,
+    /// Voxels that have been changed, by their places in the grid: how often, and the piece that they are of now.
+    changed: FxHashMap<usize, (u32, u32)>,
 }
 
 impl<'a> ContactCosts<'a> {
@@ -90,13 +95,16 @@ impl<'a> ContactCosts<'a> {
     pub fn new(image: &'a mut LabelImage, context: &RunContext) -> Result<Self> {
         let range = |[closed, open]: &[i64; 2]| [8 * (open - closed).min(0), 8 * (open - closed).max(0)];
         let numbers = euler_numbers(image, context)?;
+        let pieces = Components::new(image, Connectivity::Vertex, Members::Foreground, context)?;
         Ok(Self {
             image,
             euler: corner_contributions(),
             first: numbers.iter().map(|[closed, _]| *closed).collect(),
             allowed: numbers.iter().map(range).collect(),
             changed_by: vec![0; numbers.len()],
-            visits: FxHashMap::default(),
+            parents: (0..pieces.components().len() as u32).collect(),
+            pieces,
+            changed: FxHashMap::default(),
         })
     }
 
@@ -106,8 +114,17 @@ impl<'a> ContactCosts<'a> {
             self.changed_by[label.index()] += closed;
         }
         self.apply(changes);
-        for ([i, j, k], _) in changes {
-            *self.visits.entry(self.image.grid().offset(*i, *j, *k)).or_default() += 1;
+        for label in each_once(changes.iter().map(|change| change.1)) {
+            let beside = self.pieces_beside(changes, label);
+            let own = beside.first().copied().unwrap_or(self.parents.len() as u32);
+            if beside.is_empty() {
+                self.parents.push(own);
+            }
+            beside.iter().for_each(|other| _ = unite(&mut self.parents, own, *other));
+            for ([i, j, k], _) in changes.iter().filter(|change| change.1 == label) {
+                let (times, piece) = self.changed.entry(self.image.grid().offset(*i, *j, *k)).or_default();
+                (*times, *piece) = (*times + 1, own);
+            }
         }
     }
 
@@ -125,7 +142,7 @@ impl<'a> ContactCosts<'a> {
     /// What changes cost.
     pub fn cost(&mut self, changes: &[Change]) -> Cost {
         let visits = changes.iter().map(|([i, j, k], _)| self.image.grid().offset(*i, *j, *k));
-        let visits: Vec<u32> = visits.map(|voxel| self.visits.get(&voxel).copied().unwrap_or(0)).collect();
+        let visits: Vec<u32> = visits.map(|voxel| self.changed.get(&voxel).map_or(0, |(times, _)| *times)).collect();
         let mut cost = Cost {
             circling: visits.iter().map(|count| count.saturating_sub(VISITS)).sum(),
             out_of_range: 0,
@@ -148,7 +165,7 @@ impl<'a> ContactCosts<'a> {
         let has_contact =
             |w: &&[usize; 3]| w.iter().all(|x| *x > 0) && find_contact(self.image, w.map(|x| x - 1)).is_some();
         cost.contacts = corners_of(changes).iter().filter(has_contact).count();
-        cost.lost = self.lost_by(&back);
+        cost.lost = self.lost_by(&back) + self.joined_by(changes);
         self.apply(&back);
         cost
     }
@@ -165,7 +182,7 @@ impl<'a> ContactCosts<'a> {
         (1..self.first.len()).filter_map(of_label).collect()
     }
 
-    /// Of how many labels that changed voxels had none is left beside these.
+    /// How many of the labels that changed voxels had are at no voxel around these any more: a whole piece has gone.
     fn lost_by(&self, back: &[Change]) -> usize {
         let is_left = |label: Label| {
             let places = back.iter().filter(|change| change.1 == label).map(|change| place(change.0));
@@ -173,6 +190,32 @@ impl<'a> ContactCosts<'a> {
         };
         let labels = each_once(back.iter().map(|change| change.1));
         labels.into_iter().filter(|label| !label.is_background() && !is_left(*label)).count()
+    }
+
+    /// How many pieces of labels changes join with others, once they are made.
+    fn joined_by(&self, changes: &[Change]) -> usize {
+        let labels = each_once(changes.iter().map(|change| change.1));
+        labels.into_iter().map(|label| self.pieces_beside(changes, label).len().saturating_sub(1)).sum()
+    }
+
+    /// The pieces of a label beside the voxels that have taken it, each by its first.
+    fn pieces_beside(&self, changes: &[Change], label: Label) -> Vec<u32> {
+        if label.is_background() {
+            return Vec::new();
+        }
+        let taken = changes.iter().filter(|change| change.1 == label);
+        let beside = taken.flat_map(|change| places_around(place(change.0)));
+        let own =
+            beside.filter(|at| self.image.at_or_background(*at) == label).map(|at| at.to_array().map(|x| x as usize));
+        let before = own.filter(|at| changes.iter().all(|(voxel, _)| voxel != at));
+        each_once(before.filter_map(|[i, j, k]| {
+            let known = self.changed.get(&self.image.grid().offset(i, j, k)).map(|(_, piece)| *piece);
+            let mut piece = known.or_else(|| self.pieces.component_at(i, j, k))?;
+            while self.parents[piece as usize] != piece {
+                piece = self.parents[piece as usize];
+            }
+            Some(piece)
+        }))
     }
 
     /// How many pairs of labels would lie face to face at changed voxels that do not near these.
@@ -253,11 +296,11 @@ mod tests {
 
     const SIZE: [usize; 3] = [9, 9, 9];
 
-    /// A cube of label 1 with edges of five voxels, one of label 2 beside it, and two voxels of label 2 that touch along an edge.
+    /// A cube of label 1 with edges of five voxels, one of label 2 beside it, and three voxels of label 2 of which two touch along an edge.
     fn image() -> LabelImage {
         let label = |at: [usize; 3]| match at {
             [2..7, 2..7, 2..7] => 1,
-            [7, 4, 4] | [0, 0, 0] | [1, 1, 0] => 2,
+            [7, 4, 4] | [0, 0, 0] | [1, 1, 0] | [3, 1, 0] => 2,
             _ => 0,
         };
         let grid = Grid::new(SIZE, DVec3::ONE, DVec3::ZERO, DMat3::IDENTITY).unwrap();
@@ -275,6 +318,8 @@ mod tests {
         // One voxel of two touching is taken away: parted, as the 6-connected reading has it.
         let part = costs.cost(&[([1, 1, 0], Label(0))]);
         assert_eq!((part.out_of_range, part.lost, part.euler), (0, 0, 0));
+        let merge = costs.cost(&[([2, 1, 0], Label(2))]);
+        assert_eq!((merge.out_of_range, merge.lost, merge.euler), (8, 1, 8));
         let swallow = costs.cost(&[([7, 4, 4], Label(0))]);
         assert_eq!((swallow.out_of_range, swallow.lost, swallow.euler), (8, 1, 8));
         let tunnel: Vec<Change> = (2..7).map(|i| ([i, 4, 4], Label(0))).collect();
@@ -298,15 +343,33 @@ mod tests {
     }
 
     #[test]
+    fn pieces_that_were_joined_are_one() {
+        let mut image = image();
+        let context = RunContext::with_threads(1).unwrap();
+        let mut costs = ContactCosts::new(&mut image, &context).unwrap();
+        // Parted and joined again, the two that touch along an edge; then with the third, and around it.
+        costs.make(&[([1, 1, 0], Label(0))]);
+        assert_eq!(costs.cost(&[([1, 1, 0], Label(2)), ([1, 0, 0], Label(2))]).lost, 0);
+        costs.make(&[([1, 1, 0], Label(2))]);
+        assert_eq!(costs.cost(&[([2, 1, 0], Label(2))]).lost, 1);
+        costs.make(&[([2, 1, 0], Label(2))]);
+        assert_eq!(costs.cost(&[([2, 0, 0], Label(2))]).lost, 0);
+        // A piece of its own, then joined with that.
+        costs.make(&[([5, 0, 0], Label(2))]);
+        assert_eq!(costs.cost(&[([4, 0, 0], Label(2))]).lost, 1);
+        assert_eq!(costs.cost(&[([6, 0, 0], Label(2))]).lost, 0);
+    }
+
+    #[test]
     fn labels_out_of_range_are_told_with_their_numbers() {
         let mut image = image();
         let context = RunContext::with_threads(1).unwrap();
         let mut costs = ContactCosts::new(&mut image, &context).unwrap();
         assert!(costs.out_of_range().is_empty());
-        // A cavity, and a third piece of label 2, which has two or three.
+        // A cavity, and another piece of label 2, which has three or four.
         costs.make(&[([4, 4, 4], Label(2))]);
         assert_eq!(costs.out_of_range(), [OutOfRange { label: Label(1), number: 2, range: [1, 1] }]);
         costs.make(&[([4, 4, 4], Label(1)), ([7, 4, 4], Label(0)), ([0, 0, 0], Label(0)), ([1, 1, 0], Label(0))]);
-        assert_eq!(costs.out_of_range(), [OutOfRange { label: Label(2), number: 0, range: [2, 3] }]);
+        assert_eq!(costs.out_of_range(), [OutOfRange { label: Label(2), number: 1, range: [3, 4] }]);
     }
 }

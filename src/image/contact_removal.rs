@@ -119,11 +119,10 @@ impl<'a> Contacts<'a> {
     fn repair(&mut self, at: [usize; 3]) -> Vec<[usize; 3]> {
         let Some(contact) = find_contact(self.costs.image, at) else { return Vec::new() };
         let candidates = self.candidates(at, &contact);
-        let widened = candidates.clone();
-        let (mut cost, mut best) = self.cheapest(candidates).expect("a candidate that raises priorities");
+        let (mut cost, mut best) = self.cheapest(&candidates).expect("a candidate that raises priorities");
         if cost.out_of_range > 0 || cost.lost + cost.opened > 0 {
-            let widened = widened.iter().flat_map(|candidate| self.widened(candidate)).collect();
-            if let Some(better) = self.cheapest(widened).filter(|(wider, _)| *wider < cost) {
+            let widened: Vec<Vec<Change>> = candidates.iter().flat_map(|c| self.widened(c)).collect();
+            if let Some(better) = self.cheapest(&widened).filter(|(wider, _)| *wider < cost) {
                 (cost, best) = better;
             }
         }
@@ -140,17 +139,17 @@ impl<'a> Contacts<'a> {
     }
 
     /// The cheapest of some candidates, of those that raise priorities once the budget is spent, with what they cost.
-    fn cheapest(&mut self, candidates: Vec<Vec<Change>>) -> Option<(Cost, Vec<Vec<Change>>)> {
+    fn cheapest(&mut self, candidates: &[Vec<Change>]) -> Option<(Cost, Vec<Vec<Change>>)> {
         let mut cheapest: Option<(Cost, Vec<Vec<Change>>)> = None;
         for candidate in candidates {
-            if self.budget == 0 && !self.is_rising(&candidate) {
+            if self.budget == 0 && !self.is_rising(candidate) {
                 continue;
             }
-            let cost = self.costs.cost(&candidate);
+            let cost = self.costs.cost(candidate);
             match &mut cheapest {
-                Some((least, best)) if *least == cost => best.push(candidate),
+                Some((least, best)) if *least == cost => best.push(candidate.clone()),
                 Some((least, _)) if *least < cost => {}
-                _ => cheapest = Some((cost, vec![candidate])),
+                _ => cheapest = Some((cost, vec![candidate.clone()])),
             }
         }
         cheapest
