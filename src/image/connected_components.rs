@@ -126,6 +126,13 @@ impl Components {
         &self.components
     }
 
+    /// Components of each of so many labels.
+    pub fn counts(&self, labels: usize) -> Vec<i64> {
+        let mut counts = vec![0; labels];
+        self.components.iter().for_each(|c| counts[c.label.index()] += 1);
+        counts
+    }
+
     /// The runs of row (j, k), by begin.
     pub fn row(&self, j: usize, k: usize) -> &[Run] {
         let row = j + self.rows_per_slice * k;
@@ -217,10 +224,7 @@ fn root_of(parents: &mut [u32], mut run: u32) -> u32 {
 /// # Errors
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn component_counts(image: &LabelImage, connectivity: Connectivity, context: &RunContext) -> Result<Vec<i64>> {
-    let mut counts = vec![0; image.label_count()];
-    let components = Components::new(image, connectivity, Members::Foreground, context)?;
-    components.components().iter().for_each(|c| counts[c.label.index()] += 1);
-    Ok(counts)
+    Ok(Components::new(image, connectivity, Members::Foreground, context)?.counts(image.label_count()))
 }
 
 /// Unites the sets of two members, each of which leads to its set's first one by `parents`; whether they were two.

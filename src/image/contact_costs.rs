@@ -69,6 +69,17 @@ pub struct OutOfRange {
     pub range: [i64; 2],
 }
 
+impl OutOfRange {
+    /// The labels whose numbers are out of range, the background left out.
+    pub fn among(numbers: impl IntoIterator<Item = (i64, [i64; 2])>) -> Vec<Self> {
+        let of_label = |(label, (number, range)): (usize, (i64, [i64; 2]))| {
+            let is_out = number < range[0] || number > range[1];
+            is_out.then_some(Self { label: Label(label as u16), number, range })
+        };
+        numbers.into_iter().enumerate().skip(1).filter_map(of_label).collect()
+    }
+}
+
 /// The image while its contacts are removed, with what costs are counted from.
 pub struct ContactCosts<'a> {
     /// The image.
@@ -170,16 +181,18 @@ impl<'a> ContactCosts<'a> {
         cost
     }
 
-    /// The labels whose Euler numbers are out of range, in order.
-    pub fn out_of_range(&self) -> Vec<OutOfRange> {
-        let of_label = |label: usize| {
-            let (first, now) = (self.first[label], self.changed_by[label]);
-            let [low, high] = self.allowed[label];
-            let range = [low, high].map(|change| first + change / 8);
-            let found = OutOfRange { label: Label(label as u16), number: first + now / 8, range };
-            (now < low || now > high).then_some(found)
+    /// The Euler number of each label, and the range between both readings of the image.
+    pub fn euler_numbers(&self) -> impl Iterator<Item = (i64, [i64; 2])> {
+        let changes = self.changed_by.iter().zip(&self.allowed);
+        let of_label = |(first, (now, allowed)): (&i64, (&i64, &[i64; 2]))| {
+            (first + now / 8, allowed.map(|change| first + change / 8))
         };
-        (1..self.first.len()).filter_map(of_label).collect()
+        self.first.iter().zip(changes).map(of_label)
+    }
+
+    /// The 26-connected pieces of the image at first, by label.
+    pub fn piece_counts(&self) -> Vec<i64> {
+        self.pieces.counts(self.first.len())
     }
 
     /// How many of the labels that changed voxels had are at no voxel around these any more: a whole piece has gone.
@@ -365,11 +378,24 @@ mod tests {
         let mut image = image();
         let context = RunContext::with_threads(1).unwrap();
         let mut costs = ContactCosts::new(&mut image, &context).unwrap();
-        assert!(costs.out_of_range().is_empty());
+        assert!(OutOfRange::among(costs.euler_numbers()).is_empty());
         // A cavity, and another piece of label 2, which has three or four.
         costs.make(&[([4, 4, 4], Label(2))]);
-        assert_eq!(costs.out_of_range(), [OutOfRange { label: Label(1), number: 2, range: [1, 1] }]);
+        assert_eq!(
+            OutOfRange::among(costs.euler_numbers()),
+            [OutOfRange { label: Label(1), number: 2, range: [1, 1] }]
+        );
         costs.make(&[([4, 4, 4], Label(1)), ([7, 4, 4], Label(0)), ([0, 0, 0], Label(0)), ([1, 1, 0], Label(0))]);
-        assert_eq!(costs.out_of_range(), [OutOfRange { label: Label(2), number: 1, range: [3, 4] }]);
+        assert_eq!(
+            OutOfRange::among(costs.euler_numbers()),
+            [OutOfRange { label: Label(2), number: 1, range: [3, 4] }]
+        );
+    }
+
+    #[test]
+    fn numbers_at_the_ends_of_their_ranges_are_in_range() {
+        let numbers = [(9, [0, 1]), (1, [1, 3]), (3, [1, 3]), (0, [1, 3]), (4, [1, 3])];
+        let out: Vec<(u16, i64)> = OutOfRange::among(numbers).into_iter().map(|o| (o.label.0, o.number)).collect();
+        assert_eq!(out, [(3, 0), (4, 4)]);
     }
 }

@@ -29,6 +29,7 @@ use glam::IVec3;
 
 use crate::context::RunContext;
 use crate::error::Result;
+use crate::image::connected_components::{Connectivity, component_counts};
 use crate::image::contact_costs::{Change, ContactCosts, Cost, OutOfRange, each_once, place};
 use crate::image::grid::places_around;
 use crate::image::label_image::LabelImage;
@@ -48,8 +49,10 @@ pub struct RemovedContacts {
     pub voxels: u64,
     /// Pairs of labels that came face to face where they were apart: walls that were opened, to keep Euler numbers.
     pub opened: u64,
-    /// The labels whose Euler numbers could not be kept in the range of the image.
-    pub out_of_range: Vec<OutOfRange>,
+    /// The labels whose Euler numbers could not be kept between the two readings of the image.
+    pub euler: Vec<OutOfRange>,
+    /// The labels whose numbers of pieces could not.
+    pub pieces: Vec<OutOfRange>,
 }
 
 /// Removes corner-only and edge-only contacts of labels.
@@ -58,10 +61,16 @@ pub struct RemovedContacts {
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`]; some contacts are left then.
 pub fn remove_contacts(image: &mut LabelImage, seed: u64, context: &RunContext) -> Result<RemovedContacts> {
     let cubes = cubes_with_contacts(image, context)?;
+    let most = component_counts(image, Connectivity::Face, context)?;
     let mut work = Contacts::new(image, seed, context)?;
     work.budget = BUDGET * cubes.len() as u64;
     work.remove_all(cubes, context)?;
-    Ok(RemovedContacts { voxels: work.voxels, opened: work.opened, out_of_range: work.costs.out_of_range() })
+    let Contacts { costs, voxels, opened, .. } = work;
+    let (euler, fewest) = (OutOfRange::among(costs.euler_numbers()), costs.piece_counts());
+    let now = component_counts(image, Connectivity::Face, context)?;
+    let ranges = fewest.into_iter().zip(most).map(|(fewest, most)| [fewest, most]);
+    let pieces = OutOfRange::among(now.into_iter().zip(ranges));
+    Ok(RemovedContacts { voxels, opened, euler, pieces })
 }
 
 struct Contacts<'a> {
@@ -326,12 +335,18 @@ mod tests {
     }
 
     #[test]
-    fn labels_keep_the_topology_of_their_26_connected_voxels() {
+    fn labels_keep_numbers_between_those_of_their_26_and_6_connected_voxels() {
         let (mut contacts, mut off) = (0, Vec::new());
         for seed in 0..6u64 {
             let before = blobs(seed);
             let mut after = before.clone();
-            contacts += remove_contacts(&mut after, 1, &context()).unwrap().voxels;
+            let removed = remove_contacts(&mut after, 1, &context()).unwrap();
+            contacts += removed.voxels;
+            assert!(removed.euler.is_empty() && removed.pieces.is_empty(), "{removed:?}");
+            let pieces = |image, connectivity| component_counts(image, connectivity, &context()).unwrap();
+            let (fewest, most) = (pieces(&before, Connectivity::Vertex), pieces(&before, Connectivity::Face));
+            let now = pieces(&after, Connectivity::Face);
+            assert!((1..4).all(|l| (fewest[l]..=most[l]).contains(&now[l])), "{fewest:?} {now:?} {most:?}");
             for label in 1..4 {
                 let ([closed, open], [now, same]) = (euler(&before, label), euler(&after, label));
                 assert_eq!(now, same, "without contacts both readings agree");

@@ -11,7 +11,6 @@ use std::borrow::Cow;
 
 use crate::context::RunContext;
 use crate::error::{Finding, FindingCode, Result, Severity};
-use crate::image::connected_components::{Connectivity, component_counts};
 use crate::image::contact_costs::OutOfRange;
 use crate::image::contact_removal::{RemovedContacts, remove_contacts};
 use crate::image::label_image::LabelImage;
@@ -62,14 +61,10 @@ pub fn clean<'a>(image: &'a LabelImage, options: &Options, context: &RunContext)
     }
     let before = clean.voxel_counts();
     if options.check_image_topology {
-        let reading = |connectivity| component_counts(&clean, connectivity, context);
-        let counts = [reading(Connectivity::Vertex)?, reading(Connectivity::Face)?];
         let removed = remove_contacts(clean.to_mut(), options.seed, context)?;
         report.set("cleanup.contacts", removed.voxels as f64);
         report.set("cleanup.opened_walls", removed.opened as f64);
         tell_removed(removed, &clean, context);
-        let pieces = pieces_out_of_range(counts, &clean, context)?;
-        tell_topology(pieces, &clean, FindingCode::DisconnectedMesh, "the number of pieces", context);
     }
     let values = clean.values().to_vec();
     let voxel = clean.grid().spacing().element_product();
@@ -88,29 +83,15 @@ pub fn clean<'a>(image: &'a LabelImage, options: &Options, context: &RunContext)
     Ok(CleanImage { image: Cow::Owned(regions), values, volumes, figures: report.statistics() })
 }
 
-/// Labels in more or fewer pieces than the two readings of the image have, whose counts are given.
-fn pieces_out_of_range(
-    [fewest, most]: [Vec<i64>; 2],
-    clean: &LabelImage,
-    context: &RunContext,
-) -> Result<Vec<OutOfRange>> {
-    let now = component_counts(clean, Connectivity::Face, context)?;
-    let of_label = |(label, number): (usize, i64)| {
-        let range = [fewest[label], most[label]];
-        let found = OutOfRange { label: Label(label as u16), number, range };
-        (number < range[0] || number > range[1]).then_some(found)
-    };
-    Ok(now.into_iter().enumerate().skip(1).filter_map(of_label).collect())
-}
-
 fn tell_removed(removed: RemovedContacts, image: &LabelImage, context: &RunContext) {
-    let RemovedContacts { voxels, opened, out_of_range } = removed;
+    let RemovedContacts { voxels, opened, euler, pieces } = removed;
     if opened > 0 {
         let text =
             format!("removing contacts brought labels face to face in {opened} places where others lay between them");
         context.report(Finding::new(FindingCode::VoxelsRelabelled, Severity::Warning, text));
     }
-    tell_topology(out_of_range, image, FindingCode::OtherTopology, "the Euler number", context);
+    tell_topology(euler, image, FindingCode::OtherTopology, "the Euler number", context);
+    tell_topology(pieces, image, FindingCode::DisconnectedMesh, "the number of pieces", context);
     if voxels > 0 {
         let text = format!("{voxels} voxels were relabelled to remove contacts at edges and corners");
         let finding = Finding::new(FindingCode::VoxelsRelabelled, Severity::Note, text);
@@ -188,20 +169,15 @@ mod tests {
     fn what_the_removal_of_contacts_could_not_keep_is_told() {
         let image = voxel_image(8, |p| u16::from(p.x < 3.0));
         let context = RunContext::with_threads(1).unwrap();
-        let label = Label(1);
-        let off = OutOfRange { label, number: 5, range: [1, 3] };
-        tell_removed(RemovedContacts { voxels: 9, opened: 2, out_of_range: vec![off] }, &image, &context);
-        let pieces = pieces_out_of_range([vec![0, 2], vec![0, 4]], &image, &context).unwrap();
-        assert_eq!(pieces, [OutOfRange { label, number: 1, range: [2, 4] }]);
-        tell_topology(pieces, &image, FindingCode::DisconnectedMesh, "the number of pieces", &context);
+        let out = |number: i64| vec![OutOfRange { label: Label(1), number, range: [2, 4] }];
+        tell_removed(RemovedContacts { voxels: 9, opened: 2, euler: out(6), pieces: out(1) }, &image, &context);
         let told: Vec<_> = context.take_findings().into_iter().map(|f| (f.code, f.severity, f.ids)).collect();
         let expected = [
             (FindingCode::VoxelsRelabelled, Severity::Warning, [-1, -1]),
             (FindingCode::OtherTopology, Severity::Warning, [1, 2]),
-            (FindingCode::VoxelsRelabelled, Severity::Note, [-1, 9]),
             (FindingCode::DisconnectedMesh, Severity::Warning, [1, -1]),
+            (FindingCode::VoxelsRelabelled, Severity::Note, [-1, 9]),
         ];
         assert_eq!(told, expected);
-        assert!(pieces_out_of_range([vec![0, 1], vec![0, 4]], &image, &context).unwrap().is_empty());
     }
 }
