@@ -6,6 +6,14 @@
 
 use crate::error::{Error, Result};
 
+/// Members in order, each once.
+pub fn each_once<T: Ord>(members: impl Iterator<Item = T>) -> Vec<T> {
+    let mut members: Vec<T> = members.collect();
+    members.sort_unstable();
+    members.dedup();
+    members
+}
+
 macro_rules! define_id {
     ($(#[$doc:meta])* $name:ident, $what:literal) => {
         $(#[$doc])*

@@ -24,7 +24,7 @@ use crate::image::grid::places_around;
 use crate::image::label_contacts::touch_near;
 use crate::image::label_image::LabelImage;
 use crate::image::voxel_contacts::find_contact;
-use crate::index::Label;
+use crate::index::{Label, each_once};
 
 /// Labels touch near a voxel where they lie face to face within this many voxels along each axis.
 const REACH: i32 = 2;
@@ -285,14 +285,6 @@ impl<'a> ContactCosts<'a> {
 /// A voxel's place.
 pub fn place(voxel: [usize; 3]) -> IVec3 {
     IVec3::from_array(voxel.map(|x| x as i32))
-}
-
-/// Members in order, each once.
-pub fn each_once<T: Ord>(members: impl Iterator<Item = T>) -> Vec<T> {
-    let mut members: Vec<T> = members.collect();
-    members.sort_unstable();
-    members.dedup();
-    members
 }
 
 /// The corners of changed voxels; corner w lies between the voxels w - 1 and w.

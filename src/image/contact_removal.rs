@@ -30,11 +30,11 @@ use glam::IVec3;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::image::connected_components::{Connectivity, component_counts};
-use crate::image::contact_costs::{Change, ContactCosts, Cost, OutOfRange, each_once, place};
+use crate::image::contact_costs::{Change, ContactCosts, Cost, OutOfRange, place};
 use crate::image::grid::places_around;
 use crate::image::label_image::LabelImage;
 use crate::image::voxel_contacts::{Contact, cubes_with_contacts, find_contact, label_of, voxel_of};
-use crate::index::Label;
+use crate::index::{Label, each_once};
 
 /// Changes per contact that may lower a priority: most contacts need one change; chains of them two or three.
 const BUDGET: u64 = 8;

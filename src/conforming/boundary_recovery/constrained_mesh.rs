@@ -27,7 +27,7 @@ use super::steiner_points::CavityMarks;
 use crate::context::CancelToken;
 use crate::error::Result;
 use crate::geometry::predicates::orient3d;
-use crate::index::{Label, TetFace, TetId, VertexId};
+use crate::index::{Label, TetFace, TetId, VertexId, each_once};
 use crate::mesh::numbering::{TET_EDGES, TET_FACES};
 use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
@@ -393,6 +393,7 @@ impl ConstrainedMesh {
     /// The segments that the innermost trial under way took from the mesh, ascending.
     pub fn segments_lost_in_trial(&mut self) -> Vec<EdgeKey> {
         let edges = self.replaced_in_trial(|v| TET_EDGES.map(|[i, j]| edge_key(v[i], v[j])));
+        // Others are left out before: few edges and faces are constraints.
         let mut edges = each_once(edges.filter(|edge| self.wings.contains_key(edge)));
         edges.retain(|edge| !self.has_edge(edge[0], edge[1]));
         edges
@@ -447,14 +448,6 @@ impl ConstrainedMesh {
         self.trials = outer;
         Ok(())
     }
-}
-
-/// Constraints, each once, ascending: others are left out before, as few edges and faces are any.
-fn each_once<T: Ord>(found: impl Iterator<Item = T>) -> Vec<T> {
-    let mut found: Vec<T> = found.collect();
-    found.sort_unstable();
-    found.dedup();
-    found
 }
 
 /// A face by its vertices, ascending, and a place in a list.
