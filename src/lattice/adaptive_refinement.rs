@@ -43,6 +43,7 @@ use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
 use crate::lattice::image_contacts::ImageContacts;
 use crate::lattice::interface_carving::{Carved, Extent, FillingRules, Pinches, carve, choose_fillings};
 use crate::lattice::interface_topology::InterfaceTopology;
+use crate::lattice::last_repair::LastRepair;
 use crate::lattice::mesh_regions::{
     fill_unseen_regions, joinable_regions, number_by_image, regions_inside, regions_of, regions_with_background,
     relabel_loose_regions, surplus_of,
@@ -150,7 +151,9 @@ pub fn refine(
         false => Vec::new(),
     };
     let lost = Vec::new();
-    let mut rounds = Rounds { input, components, totals, face_components: None, euler, smooths, lost, report, context };
+    let (face_components, last_repairs) = (None, [None, None]);
+    let mut rounds =
+        Rounds { input, components, totals, face_components, euler, smooths, lost, last_repairs, report, context };
     let elements = rounds.run(&mut lattice)?;
     let lost = rounds.lost;
     report.set("lattice.level", f64::from(lattice.deepest_level()));
@@ -211,6 +214,8 @@ struct Rounds<'a> {
     smooths: bool,
     /// Components without an element at the end.
     lost: Vec<Component>,
+    /// The last repairs of pinches, of the elements as they are now: any, and those that take no voxel from its label.
+    last_repairs: [Option<LastRepair>; 2],
     report: &'a mut Report,
     context: &'a RunContext,
 }
@@ -286,7 +291,8 @@ impl Rounds<'_> {
                         join(&mut unreached, &missed);
                         if unreached.contains(&true) {
                             // What a round that comes anyway sets right does not ask for one of its own.
-                            join(&mut unreached, &self.mark_other_pieces(lattice, &elements, &neighbors, finest)?);
+                            let others = self.mark_other_pieces(lattice, &elements, &neighbors, &found, finest)?;
+                            join(&mut unreached, &others);
                         }
                     }
                     stray_rounds -= 1;
@@ -332,6 +338,7 @@ impl Rounds<'_> {
     ) -> Result<(Elements, Vec<Mismatch>, Option<Known>)> {
         let context = self.context;
         let Some(before) = before else {
+            self.last_repairs = [None, None];
             let elements = self.report.timed("elements", || lattice.elements(context))?;
             let found = self.count(lattice, &elements)?;
             return Ok((elements, found, None));
@@ -339,6 +346,7 @@ impl Rounds<'_> {
         let (elements, numbers) =
             self.report.timed("elements", || lattice.elements_after(&before.elements, context))?;
         drop(before.elements);
+        self.last_repairs = self.last_repairs.each_mut().map(|last| last.take().map(|last| last.renumbered(&numbers)));
         let found = self.count_after(&before.found, &numbers, lattice, &elements)?;
         Ok((elements, found, Some(Known { numbers, neighbors: before.neighbors })))
     }
@@ -474,31 +482,38 @@ impl Rounds<'_> {
             let of_element = |e: &u32| voxels_of(lattice, &elements.tets[*e as usize], labels[*e as usize]);
             contacts.allow(labels, changed, label).then(|| changed.iter().map(of_element).sum())
         };
-        // Where the changes cost too many voxels all told, those that cost none remain.
         let context = self.context;
-        let wanted = self.input.region_threshold.map(|_| self.euler.as_slice());
-        let of_mesh = |wanted| self.report.timed("topology", || topology.euler_ranges(&unchanged, wanted, context));
-        let euler = wanted.map(of_mesh).transpose()?;
-        let pinched = self.report.timed("topology", || topology.pinched(&unchanged, context))?;
-        for most_lost in [usize::MAX, 0] {
+        let mut pinched: Option<Vec<u32>> = None;
+        // Where the changes cost too many voxels all told, those that cost none remain.
+        for (pass, most_lost) in [usize::MAX, 0].into_iter().enumerate() {
             let may_lose = |labels: &[Label], changed: &[u32], label: Label| {
                 voxels_lost(labels, changed, label).filter(|lost| *lost <= most_lost)
             };
-            let mut euler_then = euler.clone();
-            let (from, labels) = (pinched.clone(), &mut elements.labels);
-            let repair = || topology.repair_from(from, labels, euler_then.as_mut(), context, may_lose);
-            let changed = self.report.timed("topology", repair)?.len();
-            if changed == 0 {
-                break;
-            }
+            let labels = &mut elements.labels;
+            let wanted = self.input.region_threshold.map(|_| self.euler.as_slice());
+            let last = self.last_repairs[pass].take();
+            let (euler, repaired) = self.report.timed("topology", || -> Result<_> {
+                let (from, done) = match last {
+                    Some(last) => last.take_over(&topology, labels),
+                    None => {
+                        let known = pinched.take().map_or_else(|| topology.pinched(labels, context), Ok)?;
+                        (pinched.insert(known).clone(), Vec::new())
+                    }
+                };
+                let mut euler = wanted.map(|wanted| topology.euler_ranges(labels, wanted, context)).transpose()?;
+                let mut repaired = topology.repair_from(from, labels, euler.as_mut(), context, may_lose)?;
+                repaired.left.extend(done);
+                Ok((euler, repaired))
+            })?;
+            self.last_repairs[pass] = Some(LastRepair::new(&unchanged, &elements.labels, repaired.left));
             let after = self.recount(&found, &unchanged, lattice, elements)?;
             if !self.deficit(&after).is_worse_than(before) {
-                self.report.add("topology.relabelled", changed as f64);
-                return Ok((after, euler_then));
+                self.report.add("topology.relabelled", repaired.changed.len() as f64);
+                return Ok((after, euler));
             }
             elements.labels.clone_from(&unchanged);
         }
-        Ok((found, euler))
+        Ok((found, None))
     }
 
     /// Relabels loose regions and pinched elements; returns the leaves to refine where that was not enough, and
@@ -533,7 +548,7 @@ impl Rounds<'_> {
                 Some(known) => known,
                 None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
             };
-            marked = self.mark_other_pieces(lattice, elements, neighbors, limit.finest)?;
+            marked = self.mark_other_pieces(lattice, elements, neighbors, &found, limit.finest)?;
             let others = known.all_out_of_reach();
             let has_settled = limit.rounds_left + PINCH_ROUNDS <= TOPOLOGY_ROUNDS;
             // Carving chooses the numbers of the image where they are within reach.
@@ -575,7 +590,7 @@ impl Rounds<'_> {
         let (mut found, _) = self.relabel_pinches(lattice, elements, neighbors, found, before)?;
         let mut marked = Vec::new();
         if limit.rounds_left > 0 {
-            marked = self.mark_other_pieces(lattice, elements, neighbors, limit.finest)?;
+            marked = self.mark_other_pieces(lattice, elements, neighbors, &found, limit.finest)?;
         }
         if marked.contains(&true) {
             // A few places must not refine the whole lattice.
@@ -592,6 +607,7 @@ impl Rounds<'_> {
         lattice: &RedGreenLattice,
         elements: &Elements,
         neighbors: &[[u32; 4]],
+        found: &[Mismatch],
         finest: u32,
     ) -> Result<Vec<bool>> {
         let context = self.context;
@@ -607,7 +623,7 @@ impl Rounds<'_> {
         let concerned = self.report.timed("topology", || -> Result<Vec<u32>> {
             let joints = elements_at_joints(lattice, elements, neighbors, &regions, components, context)?;
             let regions = joinable_regions(elements, pieces, surplus);
-            Ok([joints, elements_at_gaps(lattice, elements, neighbors, &regions, context)?].concat())
+            Ok([joints, elements_at_gaps(lattice, elements, neighbors, found, &regions, context)?].concat())
         })?;
         let mut marked = vec![false; lattice.tets.len()];
         self.mark_refinable(lattice, elements, &concerned, finest, &mut marked);

@@ -275,7 +275,7 @@ fn unite_at_pinches(
             }
             // Nothing but what changes here pinches otherwise than before.
             let around = topology.vertices_of(ball);
-            changed.extend(topology.repair_from(around, labels, None, context, |_, changed, _| cost(changed))?);
+            changed.extend(topology.repair_from(around, labels, None, context, |_, changed, _| cost(changed))?.changed);
             let elements: Vec<u32> = changed.iter().map(|(e, _)| *e).collect();
             let concerned = topology.vertices_of(&elements);
             let before = concerned.iter().filter(|v| pinched.binary_search(v).is_ok()).count();

@@ -77,6 +77,16 @@ struct Vicinity {
     links: Vec<Option<Links>>,
     /// Excess of each before a trial.
     excess: Vec<i64>,
+    /// Where the vertex itself is among these.
+    center: usize,
+}
+
+/// What a repair did.
+pub struct Repaired {
+    /// The elements that changed with their labels before, in the order of the changes.
+    pub changed: Vec<(u32, Label)>,
+    /// All vertices that still pinch among those from which it started and those around changes, and some that do no more.
+    pub left: Vec<u32>,
 }
 
 /// A change of labels that was found to help.
@@ -410,11 +420,10 @@ impl<'a> InterfaceTopology<'a> {
         voxels_lost: impl Fn(&[Label], &[u32], Label) -> Option<usize>,
     ) -> Result<usize> {
         let pinched = self.pinched(labels, context)?;
-        Ok(self.repair_from(pinched, labels, euler, context, voxels_lost)?.len())
+        Ok(self.repair_from(pinched, labels, euler, context, voxels_lost)?.changed.len())
     }
 
-    /// As [`repair`](Self::repair), from some vertices on; returns the elements that changed with their labels before, in the order of the
-    /// changes.
+    /// As [`repair`](Self::repair), from some vertices on.
     ///
     /// # Errors
     /// As [`repair`](Self::repair).
@@ -425,16 +434,19 @@ impl<'a> InterfaceTopology<'a> {
         mut euler: Option<&mut EulerRanges>,
         context: &RunContext,
         voxels_lost: impl Fn(&[Label], &[u32], Label) -> Option<usize>,
-    ) -> Result<Vec<(u32, Label)>> {
+    ) -> Result<Repaired> {
         let mut queue: VecDeque<u32> = vertices.into();
-        let (mut changed, mut seen) = (Vec::new(), 0);
+        let (mut changed, mut left, mut seen) = (Vec::new(), Vec::new(), 0);
         while let Some(vertex) = queue.pop_front() {
             context.check_every(VERTICES_PER_CHECK, seen)?;
             seen += 1;
             if self.excess(vertex, labels) == 0 {
                 continue;
             }
-            let Some(change) = self.best_change(vertex, labels, euler.as_deref(), &voxels_lost) else { continue };
+            let Some(change) = self.best_change(vertex, labels, euler.as_deref(), &voxels_lost) else {
+                left.push(vertex);
+                continue;
+            };
             let concerned = self.vertices_of(&change.elements);
             for e in change.elements {
                 changed.push((e, labels[e as usize]));
@@ -445,7 +457,7 @@ impl<'a> InterfaceTopology<'a> {
             }
             queue.extend(concerned);
         }
-        Ok(changed)
+        Ok(Repaired { changed, left })
     }
 
     /// The vertices of some elements, increasing.
@@ -479,10 +491,9 @@ impl<'a> InterfaceTopology<'a> {
                 if elements.iter().any(|e| labels[*e as usize] == *label) {
                     continue;
                 }
-                let gain = self.gain_within(&vicinity, &elements, *label, labels);
-                if gain >= 0 {
-                    continue;
-                }
+                // Where Euler numbers count, a change that gains less may be better.
+                let most = best.as_ref().filter(|_| euler.is_none()).map_or(-1, |b| b.cost.1);
+                let Some(gain) = self.gain_within(&vicinity, &elements, *label, labels, most) else { continue };
                 let changes = euler.map(|_| self.euler_changes(&elements, *label, labels)).unwrap_or_default();
                 let off = euler.map_or(0, |e| e.distance_after(&changes));
                 if best.as_ref().is_some_and(|b| (off, gain) > (b.cost.0, b.cost.1)) {
@@ -503,20 +514,36 @@ impl<'a> InterfaceTopology<'a> {
         let links: Vec<Option<Links>> = vertices.iter().map(|v| self.has_links(*v).then(|| self.links(*v))).collect();
         let excess =
             vertices.iter().zip(&links).map(|(v, known)| self.excess_with(*v, labels, known.as_ref())).collect();
-        Vicinity { vertices, links, excess }
+        let center = vertices.partition_point(|other| *other < vertex);
+        Vicinity { vertices, links, excess, center }
     }
 
-    /// As [`gain`](Self::gain), for elements around the vertex of a vicinity.
-    fn gain_within(&self, vicinity: &Vicinity, elements: &[u32], label: Label, labels: &mut [Label]) -> i64 {
+    /// As [`gain`](Self::gain), for elements around the vertex of a vicinity; `None` above `most`.
+    fn gain_within(
+        &self,
+        vicinity: &Vicinity,
+        elements: &[u32],
+        label: Label,
+        labels: &mut [Label],
+        most: i64,
+    ) -> Option<i64> {
+        let place = |v: u32| vicinity.vertices.partition_point(|other| *other < v);
+        let mut places: Vec<usize> = self.vertices_of(elements).into_iter().map(place).collect();
+        let mut gain: i64 = -places.iter().map(|at| vicinity.excess[*at]).sum::<i64>();
+        // Most changes that do not help leave the pinch in the middle: no excess is below zero, so that tells.
+        if let Some(at) = places.iter().position(|at| *at == vicinity.center) {
+            places.swap(0, at);
+        }
         let old: Vec<Label> = elements.iter().map(|e| labels[*e as usize]).collect();
         elements.iter().for_each(|e| labels[*e as usize] = label);
-        let change = |v: u32| {
-            let at = vicinity.vertices.partition_point(|other| *other < v);
-            self.excess_with(v, labels, vicinity.links[at].as_ref()) - vicinity.excess[at]
-        };
-        let gain = self.vertices_of(elements).into_iter().map(change).sum();
+        for at in places {
+            gain += self.excess_with(vicinity.vertices[at], labels, vicinity.links[at].as_ref());
+            if gain > most {
+                break;
+            }
+        }
         elements.iter().zip(old).for_each(|(e, l)| labels[*e as usize] = l);
-        gain
+        (gain <= most).then_some(gain)
     }
 
     /// Change of the sum of excesses when `elements` take `label`.
@@ -690,7 +717,10 @@ mod tests {
             for pair in topology.ball(vertex).windows(2) {
                 for label in [0, 1, 2].map(Label) {
                     let gain = topology.gain(pair, label, &mut labels);
-                    assert_eq!(topology.gain_within(&vicinity, pair, label, &mut labels), gain);
+                    for most in [i64::MAX, gain, gain - 1] {
+                        let within = topology.gain_within(&vicinity, pair, label, &mut labels, most);
+                        assert_eq!(within, (gain <= most).then_some(gain));
+                    }
                     gains[usize::from(gain > 0)] += i64::from(gain != 0);
                 }
             }

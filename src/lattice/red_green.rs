@@ -162,9 +162,10 @@ impl<'a> RedGreenLattice<'a> {
                 context.check()?;
                 let touched = self.split_edges_of(&pending, &long_edges, &mut splits)?;
                 let is_touched = |tet: &[u32; 4]| tet.iter().filter(|v| touched[**v as usize] != 0).count() >= 2;
-                let rows = unchanged.par_iter_mut().zip(&self.tets).with_min_len(CHUNK);
-                rows.filter(|(_, tet)| is_touched(tet)).for_each(|(number, _)| *number = CHANGED);
-                let near = |t: usize| splits.slots[t] == u32::MAX && is_touched(&self.tets[t]);
+                let touched: Vec<bool> = self.tets.par_iter().with_min_len(CHUNK).map(is_touched).collect();
+                let rows = unchanged.par_iter_mut().zip(&touched).with_min_len(CHUNK);
+                rows.filter(|(_, touched)| **touched).for_each(|(number, _)| *number = CHANGED);
+                let near = |t: usize| splits.slots[t] == u32::MAX && touched[t];
                 (pending, long_edges) = self.to_be_split(near);
             }
             self.vertices.label_new(&self.frame, &self.field);

@@ -25,18 +25,14 @@ use rayon::prelude::*;
 
 use crate::context::RunContext;
 use crate::error::Result;
-use crate::image::voxel_blocks::{VoxelBlocks, touched_box};
 use crate::index::Label;
 use crate::lattice::face_adjacency::with_neighbors;
 use crate::lattice::interface_carving::Regions;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
-use crate::lattice::voxel_fidelity::for_each_voxel;
+use crate::lattice::voxel_fidelity::{Mismatch, for_each_voxel};
 
 /// Elements per parallel work item.
 const CHUNK: usize = 1024;
-
-/// How far beyond an element voxels may lie that count as in it, at most, in voxels: they are displaced so that none lies on a face.
-const COUNTING_MARGIN: f64 = 1e-5;
 
 /// No region.
 const NONE: u32 = u32::MAX;
@@ -44,7 +40,7 @@ const NONE: u32 = u32::MAX;
 /// Steps along the axes.
 pub const STEPS: [IVec3; 6] = [IVec3::X, IVec3::NEG_X, IVec3::Y, IVec3::NEG_Y, IVec3::Z, IVec3::NEG_Z];
 
-/// The elements at gaps of labels that are in too many pieces, in increasing order.
+/// The elements at gaps of labels that are in too many pieces, in increasing order; `found` are the mismatches of all elements.
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
@@ -52,6 +48,7 @@ pub fn elements_at_gaps(
     lattice: &RedGreenLattice,
     elements: &Elements,
     neighbors: &[[u32; 4]],
+    found: &[Mismatch],
     regions: &Regions,
     context: &RunContext,
 ) -> Result<Vec<u32>> {
@@ -62,24 +59,28 @@ pub fn elements_at_gaps(
     let mut of_voxel = vec![NONE; lattice.field.image.voxels().len()];
     let mut has_voxel =
         vec![false; regions.of_element.iter().filter(|r| **r != NONE).max().map_or(0, |r| *r as usize + 1)];
-    for (voxel, region) in own_voxels(lattice, elements, regions, context)? {
-        of_voxel[voxel] = region;
+    let own = own_voxels(lattice, elements, regions, context)?;
+    for (voxel, e) in &own {
+        let region = regions.of_element[*e as usize];
+        of_voxel[*voxel] = region;
         has_voxel[region as usize] = true;
     }
-    let image = lattice.field.image;
     let gaps = gap_voxels(lattice, &mut of_voxel, is_broken, context)?;
-    let blocks =
-        VoxelBlocks::new(image.grid().size(), gaps.iter().map(|v| image.grid().voxel_at(*v).map(|i| i as u32)));
-    let touches_gap = |e: &usize| {
-        let (tet, mut any) = (&elements.tets[*e], false);
-        if blocks.hold_any(touched_box(&lattice.corners(tet), image, COUNTING_MARGIN)) {
-            for_each_voxel(lattice, tet, |at, _| any |= gaps.contains(&offset_of(lattice, at)));
-        }
-        let region = regions.of_element[*e];
-        any || (region != NONE && is_broken(elements.labels[*e]) && !has_voxel[region as usize])
+    // A voxel lies in an element of its label or is a mismatch.
+    let mut met: Vec<u32> = own.iter().filter(|(voxel, _)| gaps.contains(voxel)).map(|(_, e)| *e).collect();
+    let holds_gap = |e: &u32| {
+        let mut any = false;
+        for_each_voxel(lattice, &elements.tets[*e as usize], |at, _| any |= gaps.contains(&offset_of(lattice, at)));
+        any
     };
-    let elements = (0..elements.tets.len()).into_par_iter().with_min_len(CHUNK);
-    let met: Vec<u32> = context.until_cancelled(elements).filter(touches_gap).map(|e| e as u32).collect();
+    met.extend(found.iter().filter(|m| is_broken(m.voxel_label)).map(|m| m.element).filter(holds_gap));
+    context.check()?;
+    let is_without = |e: &u32| {
+        let region = regions.of_element[*e as usize];
+        region != NONE && is_broken(elements.labels[*e as usize]) && !has_voxel[region as usize]
+    };
+    let all = (0..elements.tets.len() as u32).into_par_iter().with_min_len(CHUNK);
+    met.par_extend(context.until_cancelled(all).filter(is_without));
     context.check()?;
     Ok(with_neighbors(&met, neighbors))
 }
@@ -89,26 +90,26 @@ fn offset_of(lattice: &RedGreenLattice, at: IVec3) -> usize {
     lattice.field.image.grid().offset(at.x as usize, at.y as usize, at.z as usize)
 }
 
-/// Voxels of broken labels that lie in an element of their label, with its region.
+/// Voxels of broken labels that lie in an element of their label, with that.
 fn own_voxels(
     lattice: &RedGreenLattice,
     elements: &Elements,
     regions: &Regions,
     context: &RunContext,
 ) -> Result<Vec<(usize, u32)>> {
-    let own = |e: usize| {
+    let own = |e: u32| {
         let mut found = Vec::new();
-        let label = elements.labels[e];
+        let label = elements.labels[e as usize];
         if regions.surplus[label.index()] > 0 {
-            for_each_voxel(lattice, &elements.tets[e], |at, of_voxel| {
+            for_each_voxel(lattice, &elements.tets[e as usize], |at, of_voxel| {
                 if of_voxel == label {
-                    found.push((offset_of(lattice, at), regions.of_element[e]));
+                    found.push((offset_of(lattice, at), e));
                 }
             });
         }
         found
     };
-    let all = (0..elements.tets.len()).into_par_iter().with_min_len(CHUNK);
+    let all = (0..elements.tets.len() as u32).into_par_iter().with_min_len(CHUNK);
     let voxels = context.until_cancelled(all).flat_map_iter(own).collect();
     context.check()?;
     Ok(voxels)
@@ -159,11 +160,12 @@ fn gap_voxels(
 mod tests {
     use super::*;
     use crate::context::RunContext;
-    use crate::image::connected_components::{Connectivity, component_counts};
+    use crate::image::connected_components::{Components, Connectivity, Members, component_counts};
     use crate::image::label_image::LabelImage;
     use crate::lattice::face_adjacency::neighbors_of;
     use crate::lattice::mesh_regions::{joinable_regions, regions_of, surplus_of};
     use crate::lattice::test_images::{voxel_image, with_lattice};
+    use crate::lattice::voxel_fidelity::mismatches;
     use glam::DVec3;
 
     const LEFT: DVec3 = DVec3::new(10.0, 15.2, 15.1);
@@ -195,7 +197,9 @@ mod tests {
         let surplus = surplus_of(&found, &component_counts(image, Connectivity::Face, context).unwrap());
         assert_eq!(surplus[1], 1);
         let regions = joinable_regions(&elements, &found, surplus);
-        let marked = elements_at_gaps(&lattice, &elements, &neighbors, &regions, context).unwrap();
+        let components = Components::new(image, Connectivity::Vertex, Members::All, context).unwrap();
+        let mismatches = mismatches(&lattice, &elements, &components, context).unwrap();
+        let marked = elements_at_gaps(&lattice, &elements, &neighbors, &mismatches, &regions, context).unwrap();
         assert!(!marked.is_empty() && marked.len() < elements.tets.len() / 20, "{}", marked.len());
         // They lie where the fronts from both balls meet.
         assert!(
@@ -204,6 +208,6 @@ mod tests {
 
         // A label whose regions are those of the image has no gap.
         let whole = Regions { of_element: regions.of_element, surplus: vec![0, 0] };
-        assert!(elements_at_gaps(&lattice, &elements, &neighbors, &whole, context).unwrap().is_empty());
+        assert!(elements_at_gaps(&lattice, &elements, &neighbors, &mismatches, &whole, context).unwrap().is_empty());
     }
 }

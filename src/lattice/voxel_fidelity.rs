@@ -145,8 +145,18 @@ fn mismatches_of(
 
 /// Calls `visit` for every voxel whose centre lies in the tet.
 pub fn for_each_voxel(lattice: &RedGreenLattice, tet: &[u32; 4], visit: impl FnMut(IVec3, Label)) {
-    // A label that no voxel has makes every voxel of the element foreign.
-    for_each_foreign_voxel(lattice, tet, Label(u16::MAX), visit);
+    for_each_voxel_within(lattice, &lattice.corners(tet), visit);
+}
+
+fn for_each_voxel_within(lattice: &RedGreenLattice, points: &[DVec3; 4], mut visit: impl FnMut(IVec3, Label)) {
+    let field = &lattice.field;
+    let corners = points.map(|p| field.counting_index(p));
+    let image = field.image;
+    for_each_row(&corners, field.size(), |first, last, j, k| {
+        let begin = image.grid().offset(first as usize, j as usize, k as usize);
+        let row = &image.voxels()[begin..=begin + (last - first) as usize];
+        row.iter().enumerate().for_each(|(step, label)| visit(IVec3::new(first + step as i32, j, k), *label));
+    });
 }
 
 /// Voxels of a label in the tet.
@@ -163,20 +173,13 @@ pub fn for_each_foreign_voxel(
     label: Label,
     mut visit: impl FnMut(IVec3, Label),
 ) {
-    let field = &lattice.field;
     let points = lattice.corners(tet);
     if uniform_label_of(lattice, &points) == Some(label) {
         return;
     }
-    let corners = points.map(|p| field.counting_index(p));
-    let image = field.image;
-    for_each_row(&corners, field.size(), |first, last, j, k| {
-        let begin = image.grid().offset(first as usize, j as usize, k as usize);
-        let row = &image.voxels()[begin..=begin + (last - first) as usize];
-        for (step, voxel_label) in row.iter().enumerate() {
-            if *voxel_label != label {
-                visit(IVec3::new(first + step as i32, j, k), *voxel_label);
-            }
+    for_each_voxel_within(lattice, &points, |at, voxel_label| {
+        if voxel_label != label {
+            visit(at, voxel_label);
         }
     });
 }
@@ -197,7 +200,7 @@ pub fn for_each_component(
     if uniform_label_of(lattice, &points) == Some(own) {
         visit_at(lattice.field.nearest_voxel(points.iter().sum::<DVec3>() / 4.0));
     } else {
-        for_each_voxel(lattice, tet, |at, label| {
+        for_each_voxel_within(lattice, &points, |at, label| {
             if label == own {
                 visit_at(at);
             }
