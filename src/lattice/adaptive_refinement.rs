@@ -234,6 +234,16 @@ fn changes_few(numbers: &[u32]) -> bool {
     numbers.iter().filter(|number| **number == CHANGED).count() < numbers.len() / 4
 }
 
+/// What relabelling pinched elements leaves.
+struct RelabelledPinches {
+    /// The mismatches then.
+    found: Vec<Mismatch>,
+    /// The Euler numbers, where they are to be kept and known.
+    euler: Option<EulerRanges>,
+    /// All vertices that still pinch, and some others, where they are known.
+    left: Option<Vec<u32>>,
+}
+
 /// What is known from the round before.
 struct Known {
     /// The number then of each element, or [`CHANGED`].
@@ -465,8 +475,7 @@ impl Rounds<'_> {
         self.relabel(lattice, elements, neighbors, |e| holds[e])
     }
 
-    /// Relabels pinched elements where that costs neither fidelity nor a component; returns the mismatches then, and the Euler
-    /// numbers where they are to be kept.
+    /// Relabels pinched elements where that costs neither fidelity nor a component.
     fn relabel_pinches(
         &mut self,
         lattice: &RedGreenLattice,
@@ -474,7 +483,7 @@ impl Rounds<'_> {
         neighbors: &[[u32; 4]],
         found: Vec<Mismatch>,
         before: &Deficit,
-    ) -> Result<(Vec<Mismatch>, Option<EulerRanges>)> {
+    ) -> Result<RelabelledPinches> {
         let unchanged = elements.labels.clone();
         let topology = self.topology(lattice, &elements.tets, neighbors)?;
         let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
@@ -505,15 +514,15 @@ impl Rounds<'_> {
                 repaired.left.extend(done);
                 Ok((euler, repaired))
             })?;
-            self.last_repairs[pass] = Some(LastRepair::new(&unchanged, &elements.labels, repaired.left));
+            self.last_repairs[pass] = Some(LastRepair::new(&unchanged, &elements.labels, repaired.left.clone()));
             let after = self.recount(&found, &unchanged, lattice, elements)?;
             if !self.deficit(&after).is_worse_than(before) {
                 self.report.add("topology.relabelled", repaired.changed.len() as f64);
-                return Ok((after, euler));
+                return Ok(RelabelledPinches { found: after, euler, left: Some(repaired.left) });
             }
             elements.labels.clone_from(&unchanged);
         }
-        Ok((found, None))
+        Ok(RelabelledPinches { found, euler: None, left: None })
     }
 
     /// Relabels loose regions and pinched elements; returns the leaves to refine where that was not enough, and
@@ -536,19 +545,19 @@ impl Rounds<'_> {
         } else {
             found = after;
         }
-        let (mut found, mut euler) = self.relabel_pinches(lattice, elements, neighbors, found, before)?;
-        if let Some(after) = self.fill_unseen(lattice, elements, neighbors, &found)? {
-            (found, euler) = (after, None);
+        let mut relabelled = self.relabel_pinches(lattice, elements, neighbors, found, before)?;
+        if let Some(found) = self.fill_unseen(lattice, elements, neighbors, &relabelled.found)? {
+            relabelled = RelabelledPinches { found, euler: None, left: None };
         }
         let context = self.context;
         let topology = self.topology(lattice, &elements.tets, neighbors)?;
         let mut marked = vec![false; lattice.tets.len()];
         if limit.rounds_left > 0 {
-            let known = match euler {
+            let known = match relabelled.euler.take() {
                 Some(known) => known,
                 None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
             };
-            marked = self.mark_other_pieces(lattice, elements, neighbors, &found, limit.finest)?;
+            marked = self.mark_other_pieces(lattice, elements, neighbors, &relabelled.found, limit.finest)?;
             let others = known.all_out_of_reach();
             let has_settled = limit.rounds_left + PINCH_ROUNDS <= TOPOLOGY_ROUNDS;
             // Carving chooses the numbers of the image where they are within reach.
@@ -564,14 +573,14 @@ impl Rounds<'_> {
                 let across = topology.elements_across_border(&others, &elements.labels);
                 self.mark_refinable(lattice, elements, &across, limit.finest, &mut marked);
             }
-            euler = Some(known);
+            relabelled.euler = Some(known);
         }
         if marked.contains(&true) {
             // A few gaps must not refine the whole lattice.
             lattice.close_locally();
-            return Ok((marked, found));
+            return Ok((marked, relabelled.found));
         }
-        let (neighbors, found) = self.carve_pinches(lattice, elements, std::mem::take(neighbors), found, euler)?;
+        let (neighbors, found) = self.carve_pinches(lattice, elements, std::mem::take(neighbors), relabelled)?;
         let after = self.fill_unseen(lattice, elements, &neighbors, &found)?;
         Ok((marked, after.unwrap_or(found)))
     }
@@ -587,17 +596,17 @@ impl Rounds<'_> {
         before: &Deficit,
         limit: RefinementLimit,
     ) -> Result<(Vec<bool>, Vec<Mismatch>)> {
-        let (mut found, _) = self.relabel_pinches(lattice, elements, neighbors, found, before)?;
+        let relabelled = self.relabel_pinches(lattice, elements, neighbors, found, before)?;
         let mut marked = Vec::new();
         if limit.rounds_left > 0 {
-            marked = self.mark_other_pieces(lattice, elements, neighbors, &found, limit.finest)?;
+            marked = self.mark_other_pieces(lattice, elements, neighbors, &relabelled.found, limit.finest)?;
         }
         if marked.contains(&true) {
             // A few places must not refine the whole lattice.
             lattice.close_locally();
-        } else {
-            (_, found) = self.carve_pinches(lattice, elements, std::mem::take(neighbors), found, None)?;
+            return Ok((marked, relabelled.found));
         }
+        let (_, found) = self.carve_pinches(lattice, elements, std::mem::take(neighbors), relabelled)?;
         Ok((marked, found))
     }
 
@@ -671,22 +680,28 @@ impl Rounds<'_> {
         Ok(surplus)
     }
 
-    /// Carves what still pinches, with the Euler numbers if they are known; returns neighbours and mismatches afterwards.
+    /// Carves what still pinches after a relabelling; returns neighbours and mismatches afterwards.
     fn carve_pinches(
         &mut self,
         lattice: &mut RedGreenLattice,
         elements: &mut Elements,
         mut neighbors: Vec<[u32; 4]>,
-        mut found: Vec<Mismatch>,
-        mut euler: Option<EulerRanges>,
+        relabelled: RelabelledPinches,
     ) -> Result<(Vec<[u32; 4]>, Vec<Mismatch>)> {
-        // In the first round all vertices.
-        let mut to_see: Option<Vec<bool>> = None;
+        let RelabelledPinches { mut found, mut euler, left } = relabelled;
+        // In the first round all vertices, but those known not to pinch.
+        let (mut to_see, mut may_pinch): (Option<Vec<bool>>, _) = (None, None);
+        if let Some(left) = left {
+            let marks = may_pinch.insert(vec![false; lattice.vertices.positions.len()]);
+            left.into_iter().for_each(|v| marks[v as usize] = true);
+        }
         for round in 1..=CARVING_ROUNDS {
             let context = self.context;
-            let is_candidate = |v: u32| to_see.as_ref().is_none_or(|to_see| to_see[v as usize]);
             let topology = self.topology(lattice, &elements.tets, &neighbors)?;
-            let pinches = Pinches::among(lattice, &elements.labels, &topology, is_candidate, context)?;
+            let breaches = to_see.as_deref();
+            let candidates = [breaches, may_pinch.as_deref().or(breaches)];
+            let pinches = Pinches::among(lattice, &elements.labels, &topology, candidates, context)?;
+            may_pinch = None;
             if pinches.vertices.is_empty() {
                 break;
             }

@@ -360,6 +360,24 @@ impl<'a> ImprovementMesh<'a> {
         })
     }
 
+    /// The tets on the other sides of all faces of `t`.
+    pub fn neighbors(&self, t: u32) -> [Option<u32>; 4] {
+        let tet = self.tets[t as usize];
+        let mut behind = [None; 4];
+        // All faces but that opposite to the first corner have it.
+        self.for_each_row(self.ball(tet[0]), |n, row| {
+            // A tet that shares all but one corner lies behind the face opposite to that.
+            match tet.map(|v| row.contains(&v)) {
+                [true, false, true, true] => behind[1] = Some(n),
+                [true, true, false, true] => behind[2] = Some(n),
+                [true, true, true, false] => behind[3] = Some(n),
+                _ => {}
+            }
+        });
+        behind[0] = self.neighbor(t, 0);
+        behind
+    }
+
     /// Tets around an edge.
     pub fn shell(&self, a: u32, b: u32) -> Vec<u32> {
         self.ball(a).iter().copied().filter(|t| self.tets[*t as usize].contains(&b)).collect()

@@ -110,7 +110,8 @@ pub struct Pinches {
 }
 
 impl Pinches {
-    /// Those among some vertices.
+    /// Those among the vertices that are marked as possible corners of breaches, and as such that may pinch; among all where there are no
+    /// marks.
     ///
     /// # Errors
     /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
@@ -118,12 +119,14 @@ impl Pinches {
         lattice: &RedGreenLattice,
         labels: &[Label],
         topology: &InterfaceTopology,
-        is_candidate: impl Fn(u32) -> bool + Sync,
+        candidates: [Option<&[bool]>; 2],
         context: &RunContext,
     ) -> Result<Self> {
+        let [is_at_breach, may_pinch] =
+            candidates.map(|marks| move |v: u32| marks.is_none_or(|marks| marks[v as usize]));
         let contacts = ImageContacts::new(lattice, topology.tets, topology.neighbors);
-        let mut vertices = contacts.breached(labels, topology, &is_candidate, context)?;
-        vertices.extend(topology.pinched_among(labels, &is_candidate, context)?);
+        let mut vertices = contacts.breached(labels, topology, is_at_breach, context)?;
+        vertices.extend(topology.pinched_among(labels, may_pinch, context)?);
         vertices.sort_unstable();
         vertices.dedup();
         Ok(Self { vertices })
@@ -576,7 +579,7 @@ mod tests {
             tets.filter(|(label, tet)| label.0 == 2 && is_at_hole(tet)).for_each(|(label, _)| *label = Label(1));
             let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap();
             let topology = topology_of(&lattice, &elements, &neighbors, context);
-            let first = Pinches::among(&lattice, &elements.labels, &topology, |_| true, context).unwrap();
+            let first = Pinches::among(&lattice, &elements.labels, &topology, [None; 2], context).unwrap();
             let contacts = ImageContacts::new(&lattice, &elements.tets, &neighbors);
             let breached = contacts.breached(&elements.labels, &topology, |_| true, context).unwrap();
             let counts = [breached.len(), first.vertices.len(), lattice.vertices.positions.len()];
@@ -590,15 +593,15 @@ mod tests {
             let to_see = first.to_see_after(&lattice, &elements, &carved.numbers);
             let neighbors = neighbors_after(&neighbors, &carved.numbers, &elements.tets, context).unwrap();
             let topology = topology_of(&lattice, &elements, &neighbors, context);
-            let among = |is_candidate: &(dyn Fn(u32) -> bool + Sync)| {
-                Pinches::among(&lattice, &elements.labels, &topology, is_candidate, context)
+            let among = |candidates: [Option<&[bool]>; 2]| {
+                Pinches::among(&lattice, &elements.labels, &topology, candidates, context)
             };
-            let all = among(&|_| true).unwrap();
-            let near = among(&|v| to_see[v as usize]).unwrap();
+            let all = among([None; 2]).unwrap();
+            let near = among([Some(&to_see); 2]).unwrap();
             assert!(carved.vertices > 0 && to_see.contains(&false) && !all.vertices.is_empty());
             assert_eq!(near.vertices, all.vertices);
             context.cancel_token().cancel();
-            assert!(matches!(among(&|_| true), Err(crate::Error::Cancelled)));
+            assert!(matches!(among([None; 2]), Err(crate::Error::Cancelled)));
             let chosen = choose_fillings(&lattice, &elements.labels, &topology, &first, rules(), context);
             assert!(matches!(chosen, Err(crate::Error::Cancelled)));
             drop(topology);
@@ -670,7 +673,7 @@ mod tests {
                 let wanted = [0, 1].map(|label| [none.out_of_reach(Label(label)).unwrap()[0]; 2]);
                 let mut kept = ranges(&topology, &elements.labels, wanted);
                 assert!([0, 1].iter().all(|label| kept.out_of_reach(Label(*label)).is_none()));
-                let pinches = Pinches::among(&lattice, &elements.labels, &topology, |_| true, context).unwrap();
+                let pinches = Pinches::among(&lattice, &elements.labels, &topology, [None; 2], context).unwrap();
                 let regions = Regions { of_element: vec![0; elements.tets.len()], surplus: vec![0; 2] };
                 let euler = keeps.then_some(&mut kept);
                 let rules = FillingRules { regions: &regions, euler, are_checked: false, extent: Extent::NearLabel };

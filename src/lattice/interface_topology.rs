@@ -270,11 +270,14 @@ impl<'a> InterfaceTopology<'a> {
         }
         let ball = self.ball(vertex);
         let first = ball.first().map(|e| labels[*e as usize]);
-        if ball.iter().all(|e| Some(labels[*e as usize]) == first) {
-            return if self.is_open(vertex) { self.excess_of_all(vertex, labels) } else { 0 };
+        if !self.is_open(vertex) && ball.iter().all(|e| Some(labels[*e as usize]) == first) {
+            return 0;
         }
-        if !self.has_links(vertex) {
+        if ball.len() > MOST_COUNTED {
             return self.excess_of_all(vertex, labels);
+        }
+        if self.is_open(vertex) {
+            return self.excess_of_open(vertex, labels);
         }
         match known {
             Some(links) => self.excess_by_marks(vertex, labels, links),
@@ -300,7 +303,7 @@ impl<'a> InterfaceTopology<'a> {
         let ball = self.ball(vertex);
         let mut around = [Label::BACKGROUND; MOST_COUNTED];
         around.iter_mut().zip(ball).for_each(|(label, element)| *label = labels[*element as usize]);
-        let all = u128::MAX >> (MOST_COUNTED - ball.len());
+        let all = all_of(ball);
         let (mut rest, mut excess) = (all, 0);
         // What is left beside the label before, with the excess of that: the same for both where there are but two.
         let mut other = (0, 0);
@@ -320,17 +323,55 @@ impl<'a> InterfaceTopology<'a> {
         excess
     }
 
-    /// For each element of the ball of a closed vertex the three behind its faces at the vertex, by their places in the ball.
+    /// The excess of an open vertex of at most [`MOST_COUNTED`] elements: most labels show a disc.
+    fn excess_of_open(&self, vertex: u32, labels: &[Label]) -> i64 {
+        let (ball, links) = (self.ball(vertex), self.links(vertex));
+        let (mut rest, mut excess) = (all_of(ball), 0);
+        while rest != 0 {
+            let label = labels[ball[rest.trailing_zeros() as usize] as usize];
+            let own = (0..).zip(ball).fold(0u128, |own, (at, e)| own | u128::from(labels[*e as usize] == label) << at);
+            rest &= !own;
+            if !label.is_background() && !self.is_disc(vertex, own, &links) {
+                excess += self.excess_of(vertex, label, labels);
+            }
+        }
+        excess
+    }
+
+    /// Whether marked elements of a ball show a disc on a small sphere: they hang together through faces, and its Euler number is 1.
+    fn is_disc(&self, vertex: u32, own: u128, links: &Links) -> bool {
+        let places = || (0..u128::BITS as usize).filter(|at| own >> at & 1 != 0);
+        // Behind a face at which the ball is open is the element itself.
+        let is_side = |at: usize, link: u8| usize::from(link) == at || own >> link & 1 == 0;
+        let sides: usize = places().map(|at| links[at].iter().filter(|link| is_side(at, **link)).count()).sum();
+        let triangles = own.count_ones() as usize;
+        let mut corners = [0; 3 * MOST_COUNTED];
+        let tets = places().map(|at| self.tets[self.ball(vertex)[at] as usize]);
+        let of_triangles = tets.flat_map(|tet| opposite_to(vertex, tet));
+        corners.iter_mut().zip(of_triangles).for_each(|(corner, v)| *corner = v);
+        let corners = &mut corners[..3 * triangles];
+        corners.sort_unstable();
+        let count = corners.chunk_by(|a, b| a == b).count();
+        count + triangles == 1 + (3 * triangles + sides) / 2 && group_count(own, links) == 1
+    }
+
+    /// For each element of a ball the three behind its faces at the vertex, by their places in the ball; the element itself where
+    /// nothing is behind.
     pub(super) fn links(&self, vertex: u32) -> Links {
         let ball = self.ball(vertex);
         let mut links = [[0; 3]; MOST_COUNTED];
-        for (row, element) in links.iter_mut().zip(ball) {
+        for (at, (row, element)) in links.iter_mut().zip(ball).enumerate() {
             // Face f is opposite to corner f.
             let corners = self.tets[*element as usize].iter();
             let at_vertex = corners.zip(self.neighbors[*element as usize]).filter(|(corner, _)| **corner != vertex);
             for (link, (_, near)) in row.iter_mut().zip(at_vertex) {
                 // Balls are listed by increasing element.
-                *link = ball.binary_search(&near).expect("a closed ball holds what is behind its inner faces") as u8;
+                let place = ball.binary_search(&near);
+                debug_assert!(
+                    place.is_ok() || self.is_open(vertex),
+                    "a closed ball holds what is behind its inner faces"
+                );
+                *link = place.unwrap_or(at) as u8;
             }
         }
         links
@@ -559,6 +600,11 @@ impl<'a> InterfaceTopology<'a> {
     }
 }
 
+/// Marks of all elements of a ball of one to [`MOST_COUNTED`].
+fn all_of(ball: &[u32]) -> u128 {
+    u128::MAX >> (MOST_COUNTED - ball.len())
+}
+
 /// Number of connected groups among the marked elements.
 pub(super) fn group_count(marks: u128, links: &[[u8; 3]; MOST_COUNTED]) -> usize {
     let (mut rest, mut count) = (marks, 0);
@@ -649,6 +695,30 @@ mod tests {
         }
         // Two opposite corners apart, for one.
         assert!(pinched > 0 && topology.excess(0, &[1, 0, 0, 0, 0, 0, 0, 1].map(Label)) == 1);
+    }
+
+    #[test]
+    fn labels_around_an_open_vertex_are_counted_by_discs_as_by_lists() {
+        let (tets, _) = octahedron();
+        let mut found = [0; 2];
+        // Every set of elements but all, with two labels and the background.
+        for pattern in 1u32..3u32.pow(8) {
+            let digits = (0..8).map(|o| pattern / 3u32.pow(o) % 3);
+            let left: Vec<([u32; 4], Label)> =
+                tets.iter().zip(digits).filter(|(_, d)| *d > 0).map(|(tet, d)| (*tet, Label(d as u16))).collect();
+            let (tets, mut labels): (Vec<[u32; 4]>, Vec<Label>) = left.into_iter().unzip();
+            let neighbors = neighbors_of(&tets, 7, &one_thread()).unwrap();
+            let topology = InterfaceTopology::new(&tets, &neighbors, 7, &one_thread()).unwrap();
+            for _ in 0..2 {
+                for v in (0..7).filter(|v| topology.is_open(*v)) {
+                    let excess = topology.excess_of_all(v, &labels);
+                    assert_eq!(topology.excess(v, &labels), excess, "{tets:?} {labels:?} {v}");
+                    found[usize::from(excess > 0)] += 1;
+                }
+                labels[0] = Label::BACKGROUND;
+            }
+        }
+        assert!(found.iter().all(|count| *count > 1000), "{found:?}");
     }
 
     #[test]

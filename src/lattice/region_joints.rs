@@ -119,35 +119,53 @@ fn joined_regions<'a>(
         let largest: &mut Option<(usize, usize)> = &mut largest[label.index()];
         *largest = (*largest).max(Some((region.len(), r)));
     }
-    let found_in = |region: &[u32]| -> Result<Vec<u32>> {
-        let found = over(region, context).filter_map(|e| components_in(lattice, elements, *e, components));
-        let chunks = found.fold(Vec::new, |mut found: Vec<u32>, [first, last]| {
-            found.extend((found.last() != Some(&first)).then_some(first));
-            found.extend((first != last).then_some(last));
-            found
-        });
-        let mut found = chunks.collect::<Vec<Vec<u32>>>().concat();
-        context.check()?;
+    let found_in = |asked: Vec<usize>| components_of(lattice, elements, regions, &asked, components, context);
+    let is_smaller = |(r, (label, _)): &(usize, &(Label, Vec<u32>))| {
+        largest[label.index()].is_none_or(|(_, largest)| largest != *r) && of_label[label.index()].len() > 1
+    };
+    let smaller = found_in(regions.iter().enumerate().filter(is_smaller).map(|(r, _)| r).collect())?;
+    let mut seen = vec![false; components.components().len()];
+    smaller.iter().for_each(|[_, component]| seen[*component as usize] = true);
+    let may_join = |of_label: &[u32]| of_label.iter().filter(|component| !seen[**component as usize]).count() > 1;
+    let of_largest = of_label.iter().zip(&largest).filter(|(of_label, _)| may_join(of_label));
+    let largest = found_in(of_largest.filter_map(|(_, largest)| largest.map(|(_, r)| r)).collect())?;
+    let found = [smaller, largest].concat();
+    let joined = found.chunk_by(|a, b| a[0] == b[0]).filter(|of_region| of_region.len() > 1);
+    Ok(joined.map(|of_region| &regions[of_region[0][0] as usize]).collect())
+}
+
+/// The components of some regions, by their numbers: pairs of region and component, each once, in order.
+fn components_of(
+    lattice: &RedGreenLattice,
+    elements: &Elements,
+    regions: &[(Label, Vec<u32>)],
+    asked: &[usize],
+    components: &Components,
+    context: &RunContext,
+) -> Result<Vec<[u32; 2]>> {
+    if asked.is_empty() {
+        return Ok(Vec::new());
+    }
+    let mut of_element = vec![NONE; elements.tets.len()];
+    for r in asked {
+        regions[*r].1.iter().for_each(|e| of_element[*e as usize] = *r as u32);
+    }
+    // In the order of the elements, neighbours of which lie near each other.
+    let chunks = context.until_cancelled(of_element.par_chunks(CHUNK).enumerate()).map(|(chunk, of_element)| {
+        let mut found = Vec::new();
+        for (e, r) in ((chunk * CHUNK) as u32..).zip(of_element).filter(|(_, r)| **r != NONE) {
+            let of_element = components_in(lattice, elements, e, components);
+            found.extend(of_element.into_iter().flatten().map(|component| [*r, component]));
+        }
         found.sort_unstable();
         found.dedup();
-        Ok(found)
-    };
-    let (mut joined, mut seen) = (Vec::new(), vec![false; components.components().len()]);
-    for (r, (label, region)) in regions.iter().enumerate() {
-        let is_smaller = largest[label.index()].is_none_or(|(_, largest)| largest != r);
-        if is_smaller && of_label[label.index()].len() > 1 {
-            let found = found_in(region)?;
-            joined.extend((found.len() > 1).then_some(r));
-            found.into_iter().for_each(|component| seen[component as usize] = true);
-        }
-    }
-    for (of_label, largest) in of_label.iter().zip(largest) {
-        let Some((_, r)) = largest else { continue };
-        if of_label.iter().filter(|component| !seen[**component as usize]).count() > 1 {
-            joined.extend((found_in(&regions[r].1)?.len() > 1).then_some(r));
-        }
-    }
-    Ok(joined.into_iter().map(|r| &regions[r]).collect())
+        found
+    });
+    let mut found = chunks.collect::<Vec<Vec<[u32; 2]>>>().concat();
+    context.check()?;
+    found.sort_unstable();
+    found.dedup();
+    Ok(found)
 }
 
 #[cfg(test)]

@@ -198,10 +198,8 @@ fn labels_of_faces(mesh: &ImprovementMesh, t: u32) -> Option<(Between, [Label; 4
         return None;
     }
     let own = mesh.labels[t as usize];
-    let mut behind = [own; 4];
-    for (face, label) in behind.iter_mut().enumerate() {
-        *label = mesh.labels[mesh.neighbor(t, face)? as usize];
-    }
+    let [Some(a), Some(b), Some(c), Some(d)] = mesh.neighbors(t) else { return None };
+    let behind = [a, b, c, d].map(|n| mesh.labels[n as usize]);
     let other = behind.into_iter().find(|label| *label != own)?;
     if behind.iter().any(|label| ![own, other].contains(label)) {
         return None;
@@ -277,8 +275,8 @@ fn may_go_over(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
         mesh.ball(vertices[0]).iter().all(|n| *n == t || mesh.labels[*n as usize] == label || !has_all(n))
     };
     let mut towards = Vec::new();
-    for face in 0..4 {
-        let label = mesh.labels[mesh.neighbor(t, face)? as usize];
+    for (face, near) in mesh.neighbors(t).into_iter().enumerate() {
+        let label = mesh.labels[near? as usize];
         if label == other {
             towards.push(face);
         } else if label != own {
@@ -374,6 +372,9 @@ mod tests {
             let label = |set: usize| Label(((set * (seed + 7) + seed * seed / 3) % 5 % 3) as u16);
             with_tets_of_sets(label, |mut mesh| {
                 mesh.refresh_stars(&context).unwrap();
+                for t in 0..mesh.tets.len() as u32 {
+                    assert_eq!(mesh.neighbors(t), [0, 1, 2, 3].map(|face| mesh.neighbor(t, face)));
+                }
                 let faces_of = |t: u32| {
                     let is_other = |face: &usize| {
                         mesh.neighbor(t, *face).is_some_and(|n| mesh.labels[n as usize] != mesh.labels[t as usize])

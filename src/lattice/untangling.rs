@@ -105,9 +105,10 @@ pub fn move_guarded(
             let is_first = |t: u32, v: VertexId| {
                 group.tets[t as usize].into_iter().find(|w| is_moved.get(w.index()) == Some(&true)) == Some(v)
             };
+            let stays_bad = |t: u32, v: VertexId| is_first(t, v) && is_spoiled(points, group, t);
             let at_vertex = |v: &VertexId| {
-                let tets = group.incidence.of(v.index()).iter().copied();
-                tets.filter(|t| is_first(*t, *v) && is_spoiled(points, group, *t)).collect::<Vec<u32>>()
+                let v = *v;
+                group.incidence.of(v.index()).iter().copied().filter(move |t| stays_bad(*t, v))
             };
             context.until_cancelled(moved.par_iter().with_min_len(64)).flat_map_iter(at_vertex).collect()
         };
