@@ -150,12 +150,12 @@ pub fn refine(
         true => report.timed("topology", || euler_numbers(input.image, context))?,
         false => Vec::new(),
     };
-    let lost = Vec::new();
-    let (face_components, last_repairs) = (None, [None, None]);
-    let mut rounds =
-        Rounds { input, components, totals, face_components, euler, smooths, lost, last_repairs, report, context };
-    let elements = rounds.run(&mut lattice)?;
-    let lost = rounds.lost;
+    let (elements, lost) = {
+        let (face_components, last_repairs, lost) = (None, [None, None], Vec::new());
+        let mut rounds =
+            Rounds { input, components, totals, face_components, euler, smooths, lost, last_repairs, report, context };
+        (rounds.run(&mut lattice)?, rounds.lost)
+    };
     report.set("lattice.level", f64::from(lattice.deepest_level()));
     report.set("lattice.spacing", input.spacing);
     let mut cubes = Vec::new();
@@ -492,7 +492,8 @@ impl Rounds<'_> {
             contacts.allow(labels, changed, label).then(|| changed.iter().map(of_element).sum())
         };
         let context = self.context;
-        let mut pinched: Option<Vec<u32>> = None;
+        // What pinches without a repair, and the Euler numbers then.
+        let mut unrepaired: Option<(Vec<u32>, Option<EulerRanges>)> = None;
         // Where the changes cost too many voxels all told, those that cost none remain.
         for (pass, most_lost) in [usize::MAX, 0].into_iter().enumerate() {
             let may_lose = |labels: &[Label], changed: &[u32], label: Label| {
@@ -502,19 +503,28 @@ impl Rounds<'_> {
             let wanted = self.input.region_threshold.map(|_| self.euler.as_slice());
             let last = self.last_repairs[pass].take();
             let (euler, repaired) = self.report.timed("topology", || -> Result<_> {
-                let (from, done) = match last {
-                    Some(last) => last.take_over(&topology, labels),
+                let (from, mut euler, done) = match last {
+                    Some(last) => {
+                        let (from, done) = last.take_over(&topology, labels);
+                        (from, None, done)
+                    }
                     None => {
-                        let known = pinched.take().map_or_else(|| topology.pinched(labels, context), Ok)?;
-                        (pinched.insert(known).clone(), Vec::new())
+                        let count = || -> Result<_> {
+                            let euler = wanted.map(|wanted| topology.euler_ranges(labels, wanted, context));
+                            Ok((topology.pinched(labels, context)?, euler.transpose()?))
+                        };
+                        let known = unrepaired.take().map_or_else(count, Ok)?;
+                        let (from, euler) = unrepaired.insert(known).clone();
+                        (from, euler, Vec::new())
                     }
                 };
-                let mut euler = wanted.map(|wanted| topology.euler_ranges(labels, wanted, context)).transpose()?;
                 let mut repaired = topology.repair_from(from, labels, euler.as_mut(), context, may_lose)?;
                 repaired.left.extend(done);
                 Ok((euler, repaired))
             })?;
-            self.last_repairs[pass] = Some(LastRepair::new(&unchanged, &elements.labels, repaired.left.clone()));
+            // Where Euler numbers are to be kept, what was best for them before need not be now.
+            self.last_repairs[pass] =
+                wanted.is_none().then(|| LastRepair::new(&unchanged, &elements.labels, repaired.left.clone()));
             let after = self.recount(&found, &unchanged, lattice, elements)?;
             if !self.deficit(&after).is_worse_than(before) {
                 self.report.add("topology.relabelled", repaired.changed.len() as f64);
