@@ -15,7 +15,8 @@
 //! A part of a component that joins the largest region of its label is not seen while another part is a region of its own.
 //!
 //! # Cost
-//! A look at the elements of the smaller regions, most often few; 5 bytes an element where something is joined.
+//! A look at the elements of the smaller regions, most often few, in the order of all; 4 bytes an element for it, and 5 where something
+//! is joined.
 
 use rayon::prelude::*;
 
