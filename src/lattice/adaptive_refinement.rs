@@ -700,11 +700,12 @@ impl Rounds<'_> {
     ) -> Result<(Vec<[u32; 4]>, Vec<Mismatch>)> {
         let RelabelledPinches { mut found, mut euler, left } = relabelled;
         // In the first round all vertices, but those known not to pinch.
-        let (mut to_see, mut may_pinch): (Option<Vec<bool>>, _) = (None, None);
-        if let Some(left) = left {
-            let marks = may_pinch.insert(vec![false; lattice.vertices.positions.len()]);
+        let mut to_see: Option<Vec<bool>> = None;
+        let mut may_pinch = left.map(|left| {
+            let mut marks = vec![false; lattice.vertices.positions.len()];
             left.into_iter().for_each(|v| marks[v as usize] = true);
-        }
+            marks
+        });
         for round in 1..=CARVING_ROUNDS {
             let context = self.context;
             let topology = self.topology(lattice, &elements.tets, &neighbors)?;

@@ -30,7 +30,9 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::face_adjacency::OUTSIDE;
-use crate::lattice::interface_topology::{AtBorder, InterfaceTopology, Links, MOST_COUNTED, group_count, opposite_to};
+use crate::lattice::interface_topology::{
+    AtBorder, InterfaceTopology, Links, MOST_COUNTED, all_marks, group_count, marks_of, opposite_to,
+};
 use crate::mesh::numbering::TET_FACES;
 
 /// Parts of one that a vertex can add.
@@ -326,8 +328,8 @@ impl InterfaceTopology<'_> {
 /// The number of faces around a vertex between what is in a body and the rest, where they are one disc; `is_in` tells for each
 /// element of the ball.
 fn faces_of_disc(is_in: impl ExactSizeIterator<Item = bool>, links: &Links) -> Option<i64> {
-    let all = u128::MAX >> (MOST_COUNTED - is_in.len());
-    let own = is_in.enumerate().fold(0u128, |marks, (at, is_in)| marks | u128::from(is_in) << at);
+    let all = all_marks(is_in.len());
+    let own = marks_of(is_in);
     (group_count(own, links) == 1 && group_count(all & !own, links) == 1).then(|| {
         let of_element = |at: usize| links[at].iter().filter(|link| own >> **link & 1 == 0).count() as i64;
         (0..MOST_COUNTED).filter(|at| own >> at & 1 == 1).map(of_element).sum()

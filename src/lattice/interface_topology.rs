@@ -303,14 +303,13 @@ impl<'a> InterfaceTopology<'a> {
         let ball = self.ball(vertex);
         let mut around = [Label::BACKGROUND; MOST_COUNTED];
         around.iter_mut().zip(ball).for_each(|(label, element)| *label = labels[*element as usize]);
-        let all = all_of(ball);
+        let all = all_marks(ball.len());
         let (mut rest, mut excess) = (all, 0);
         // What is left beside the label before, with the excess of that: the same for both where there are but two.
         let mut other = (0, 0);
         while rest != 0 {
             let label = around[rest.trailing_zeros() as usize];
-            let marks = around[..ball.len()].iter().enumerate();
-            let own = marks.fold(0u128, |marks, (at, of)| marks | u128::from(*of == label) << at);
+            let own = marks_of(around[..ball.len()].iter().map(|of| *of == label));
             rest &= !own;
             if !label.is_background() {
                 if own != other.0 {
@@ -326,10 +325,10 @@ impl<'a> InterfaceTopology<'a> {
     /// The excess of an open vertex of at most [`MOST_COUNTED`] elements: most labels show a disc.
     fn excess_of_open(&self, vertex: u32, labels: &[Label]) -> i64 {
         let (ball, links) = (self.ball(vertex), self.links(vertex));
-        let (mut rest, mut excess) = (all_of(ball), 0);
+        let (mut rest, mut excess) = (all_marks(ball.len()), 0);
         while rest != 0 {
             let label = labels[ball[rest.trailing_zeros() as usize] as usize];
-            let own = (0..).zip(ball).fold(0u128, |own, (at, e)| own | u128::from(labels[*e as usize] == label) << at);
+            let own = marks_of(ball.iter().map(|e| labels[*e as usize] == label));
             rest &= !own;
             if !label.is_background() && !self.is_disc(vertex, own, &links) {
                 excess += self.excess_of(vertex, label, labels);
@@ -601,8 +600,13 @@ impl<'a> InterfaceTopology<'a> {
 }
 
 /// Marks of all elements of a ball of one to [`MOST_COUNTED`].
-fn all_of(ball: &[u32]) -> u128 {
-    u128::MAX >> (MOST_COUNTED - ball.len())
+pub(super) fn all_marks(count: usize) -> u128 {
+    u128::MAX >> (MOST_COUNTED - count)
+}
+
+/// Marks of the elements of a ball for which it is true.
+pub(super) fn marks_of(is_in: impl Iterator<Item = bool>) -> u128 {
+    is_in.enumerate().fold(0u128, |marks, (at, is_in)| marks | u128::from(is_in) << at)
 }
 
 /// Number of connected groups among the marked elements.

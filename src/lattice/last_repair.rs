@@ -21,7 +21,7 @@
 
 use rayon::prelude::*;
 
-use crate::index::Label;
+use crate::index::{Label, each_once};
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::red_green::CHANGED;
 
@@ -73,11 +73,9 @@ impl LastRepair {
         // What a change at a vertex costs depends on what is around the vertices beside it.
         let is_near =
             |v: &u32| topology.ball(*v).iter().any(|e| tets[*e as usize].iter().any(|w| has_changed[*w as usize]));
-        let (near, mut done): (Vec<u32>, Vec<u32>) = self.left.iter().partition(|v| is_near(v));
+        let (near, done): (Vec<u32>, Vec<u32>) = self.left.iter().partition(|v| is_near(v));
         near.into_iter().for_each(|v| has_changed[v as usize] = true);
-        done.sort_unstable();
-        done.dedup();
-        ((0..vertex_count as u32).filter(|v| has_changed[*v as usize]).collect(), done)
+        ((0..vertex_count as u32).filter(|v| has_changed[*v as usize]).collect(), each_once(done.into_iter()))
     }
 }
 

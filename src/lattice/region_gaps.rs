@@ -73,7 +73,10 @@ pub fn elements_at_gaps(
         for_each_voxel(lattice, &elements.tets[*e as usize], |at, _| any |= gaps.contains(&offset_of(lattice, at)));
         any
     };
-    met.extend(found.iter().filter(|m| is_broken(m.voxel_label)).map(|m| m.element).filter(holds_gap));
+    // Those of one element follow each other.
+    let mut foreign: Vec<u32> = found.iter().filter(|m| is_broken(m.voxel_label)).map(|m| m.element).collect();
+    foreign.dedup();
+    met.par_extend(context.until_cancelled(foreign.into_par_iter().with_min_len(CHUNK)).filter(holds_gap));
     context.check()?;
     let is_without = |e: &u32| {
         let region = regions.of_element[*e as usize];

@@ -23,7 +23,7 @@ use rayon::prelude::*;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::image::connected_components::Components;
-use crate::index::Label;
+use crate::index::{Label, each_once};
 use crate::lattice::face_adjacency::{OUTSIDE, with_neighbors};
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::voxel_fidelity::for_each_component;
@@ -153,20 +153,15 @@ fn components_of(
     }
     // In the order of the elements, neighbours of which lie near each other.
     let chunks = context.until_cancelled(of_element.par_chunks(CHUNK).enumerate()).map(|(chunk, of_element)| {
-        let mut found = Vec::new();
-        for (e, r) in ((chunk * CHUNK) as u32..).zip(of_element).filter(|(_, r)| **r != NONE) {
-            let of_element = components_in(lattice, elements, e, components);
-            found.extend(of_element.into_iter().flatten().map(|component| [*r, component]));
-        }
-        found.sort_unstable();
-        found.dedup();
-        found
+        let asked = ((chunk * CHUNK) as u32..).zip(of_element).filter(|(_, r)| **r != NONE);
+        each_once(asked.flat_map(|(e, r)| {
+            let found = components_in(lattice, elements, e, components);
+            found.into_iter().flatten().map(|component| [*r, component])
+        }))
     });
-    let mut found = chunks.collect::<Vec<Vec<[u32; 2]>>>().concat();
+    let found: Vec<Vec<[u32; 2]>> = chunks.collect();
     context.check()?;
-    found.sort_unstable();
-    found.dedup();
-    Ok(found)
+    Ok(each_once(found.into_iter().flatten()))
 }
 
 #[cfg(test)]
