@@ -22,7 +22,7 @@
 //! 92 bytes per voxel of a brick; of bands four voxels thick three quarters of these are in the band. Two or three passes a
 //! step, bound by memory where many voxels are in work.
 
-use glam::DVec3;
+use glam::{DVec3, DVec4, Vec4, Vec4Swizzles};
 use rayon::prelude::*;
 
 use crate::context::RunContext;
@@ -47,11 +47,8 @@ const LAST_STEP: f32 = 1e-4;
 /// Second differences of a voxel: xx, yy, zz, xy, xz, yz.
 const TERMS: usize = 6;
 
-/// One value for each voxel of a brick.
-type Lanes = [f32; WIDTH];
-
 /// A value for each second difference of the voxels of a brick: what is used together lies together.
-type Brick = [Lanes; TERMS];
+type Brick = [Vec4; TERMS];
 
 /// Where the voxels of a band are stored.
 #[derive(Debug, Clone, Default)]
@@ -134,23 +131,27 @@ impl Bricks {
     }
 }
 
-/// The values of the brick that begins at a slot.
-#[inline]
-fn brick_at<T>(values: &[T], first: usize) -> &[T; WIDTH] {
-    &values.as_chunks().0[first / WIDTH]
-}
-
-/// The values from a slot on.
+/// What an array has from a slot on.
 #[inline]
 fn lanes<T>(values: &[T], slot: usize) -> &[T; WIDTH] {
     // One check of the bounds for all lanes.
     values[slot..].first_chunk().expect("an empty brick is last")
 }
 
-/// The value where a condition is true, 0 elsewhere, without a branch.
+/// The values from a slot on.
 #[inline]
-fn where_true(condition: bool, value: f32) -> f32 {
-    f32::from_bits(value.to_bits() & 0u32.wrapping_sub(u32::from(condition)))
+fn values_at(values: &[f32], slot: usize) -> Vec4 {
+    Vec4::from_array(*lanes(values, slot))
+}
+
+/// The value for the voxels that have a second difference, 0 for the others, without a branch.
+#[inline]
+fn where_has(terms: &[u32; WIDTH], term: usize, value: f32) -> Vec4 {
+    let mut masked = [0.0; WIDTH];
+    for l in 0..WIDTH {
+        masked[l] = f32::from_bits(value.to_bits() & 0u32.wrapping_sub(terms[l] >> term & 1));
+    }
+    Vec4::from_array(masked)
 }
 
 /// What is lessened.
@@ -221,8 +222,8 @@ impl<'a> Descent<'a> {
             low: by_slot(|u| u.low),
             high: by_slot(|u| u.high),
             ahead: vec![0.0; slots],
-            bending: vec![[[0.0; WIDTH]; TERMS]; slots / WIDTH],
-            variation: vec![[[0.0; WIDTH]; TERMS]; slots / WIDTH],
+            bending: vec![[Vec4::ZERO; TERMS]; slots / WIDTH],
+            variation: vec![[Vec4::ZERO; TERMS]; slots / WIDTH],
             weights: bending_weights(spacing),
             totals,
             terms,
@@ -253,28 +254,26 @@ impl<'a> Descent<'a> {
         let of_brick = |(slot, beside): (usize, [usize; 6])| {
             let [at, up, down, far, near, ..] = brick_numbers(slot, beside);
             let own_terms = lanes(terms, slot);
-            let mut sums = [[0.0f32; WIDTH]; 2];
+            let mut sums = [Vec4::ZERO; 2];
             let directions = [slot + 1, slot - 1, beside[0], beside[1], beside[2], beside[3]];
             for (direction, other) in directions.into_iter().enumerate() {
                 let (rate, other_terms) = (rates[direction / 2], lanes(terms, other));
+                let common: [u32; WIDTH] = std::array::from_fn(|l| own_terms[l] & other_terms[l]);
                 for (term, weight) in weights.iter().enumerate() {
-                    let own = &bending[at][term];
+                    let own = bending[at][term];
                     let other = match direction {
-                        0 => after(bending, at, term),
-                        1 => before(bending, at, term),
+                        0 => shifted_back(own, bending[at + 1][term]),
+                        1 => shifted_on(own, bending[at - 1][term]),
                         _ => bending[[up, down, far, near][direction - 2]][term],
                     };
-                    for l in 0..WIDTH {
-                        let is_common = own_terms[l] & other_terms[l] & 1 << term != 0;
-                        let difference = own[l] - other[l];
-                        sums[0][l] += where_true(is_common, rate * (difference * difference) / weight);
-                        sums[1][l] += where_true(is_common, rate);
-                    }
+                    let rates = where_has(&common, term, rate);
+                    sums[0] += rates * ((own - other) * (own - other)) / *weight;
+                    sums[1] += rates;
                 }
             }
             sums
         };
-        let mut by_brick = vec![[[0.0f32; WIDTH]; 2]; self.values.len() / WIDTH];
+        let mut by_brick = vec![[Vec4::ZERO; 2]; self.values.len() / WIDTH];
         let chunks = bricks.stored(&mut by_brick).par_chunks_mut(CHUNK / WIDTH).enumerate();
         context.until_cancelled(chunks).for_each(|(chunk, rows)| {
             rows.iter_mut().zip(bricks.chunk(chunk)).for_each(|(row, brick)| *row = of_brick(brick));
@@ -325,26 +324,22 @@ impl<'a> Descent<'a> {
         let (bricks, terms, ahead) = (*bricks, terms.as_slice(), ahead.as_slice());
         bricks.stored(bending).par_chunks_mut(CHUNK / WIDTH).enumerate().for_each(|(chunk, rows)| {
             for (row, (slot, [up, down, far, near, up_far, _])) in rows.iter_mut().zip(bricks.chunk(chunk)) {
-                let own = brick_at(ahead, slot);
-                let (x, before_x) = (lanes(ahead, slot + 1), lanes(ahead, slot - 1));
-                let (y, before_y) = (brick_at(ahead, up), brick_at(ahead, down));
-                let (z, before_z) = (brick_at(ahead, far), brick_at(ahead, near));
-                let (xy, xz, yz) = (lanes(ahead, up + 1), lanes(ahead, far + 1), brick_at(ahead, up_far));
-                let terms = brick_at(terms, slot);
-                // Loops over lanes become single instructions.
-                let mut differences = [[0.0; WIDTH]; TERMS];
-                for l in 0..WIDTH {
-                    differences[0][l] = x[l] - 2.0 * own[l] + before_x[l];
-                    differences[1][l] = y[l] - 2.0 * own[l] + before_y[l];
-                    differences[2][l] = z[l] - 2.0 * own[l] + before_z[l];
-                    differences[3][l] = own[l] - x[l] - y[l] + xy[l];
-                    differences[4][l] = own[l] - x[l] - z[l] + xz[l];
-                    differences[5][l] = own[l] - y[l] - z[l] + yz[l];
-                }
+                let own = values_at(ahead, slot);
+                let (x, before_x) = (values_at(ahead, slot + 1), values_at(ahead, slot - 1));
+                let (y, before_y) = (values_at(ahead, up), values_at(ahead, down));
+                let (z, before_z) = (values_at(ahead, far), values_at(ahead, near));
+                let (xy, xz, yz) = (values_at(ahead, up + 1), values_at(ahead, far + 1), values_at(ahead, up_far));
+                let terms = lanes(terms, slot);
+                let mut differences = [
+                    x - 2.0 * own + before_x,
+                    y - 2.0 * own + before_y,
+                    z - 2.0 * own + before_z,
+                    own - x - y + xy,
+                    own - x - z + xz,
+                    own - y - z + yz,
+                ];
                 for term in 0..TERMS {
-                    for l in 0..WIDTH {
-                        differences[term][l] *= where_true(terms[l] >> term & 1 != 0, weights[term]);
-                    }
+                    differences[term] *= where_has(terms, term, weights[term]);
                 }
                 *row = differences;
             }
@@ -364,18 +359,14 @@ impl<'a> Descent<'a> {
                 let (brick_up, brick_down) = (&bending[up], &bending[down]);
                 let (brick_far, brick_near) = (&bending[far], &bending[near]);
                 for term in 0..TERMS {
-                    let (own, total) = (&brick[term], &totals[term]);
-                    let (x, before_x) = (shifted_back(own, &brick_after[term]), shifted_on(own, &brick_before[term]));
-                    let (y, before_y) = (&brick_up[term], &brick_down[term]);
-                    let (z, before_z) = (&brick_far[term], &brick_near[term]);
-                    let mut of_term: Lanes = [0.0; WIDTH];
-                    for l in 0..WIDTH {
-                        let along = rates[0] * (x[l] + before_x[l]) + rates[1] * (y[l] + before_y[l]);
-                        let others = along + rates[2] * (z[l] + before_z[l]);
-                        // What does not exist is 0 beside what does, and takes nothing from it.
-                        of_term[l] = where_true(total[l] != 0.0, own[l] * total[l] - others);
-                    }
-                    row[term] = of_term;
+                    let (own, total) = (brick[term], totals[term]);
+                    let (x, before_x) = (shifted_back(own, brick_after[term]), shifted_on(own, brick_before[term]));
+                    let (y, before_y) = (brick_up[term], brick_down[term]);
+                    let (z, before_z) = (brick_far[term], brick_near[term]);
+                    let along = rates[0] * (x + before_x) + rates[1] * (y + before_y);
+                    let others = along + rates[2] * (z + before_z);
+                    // What does not exist is 0 beside what does, and takes nothing from it.
+                    row[term] = Vec4::select(total.cmpne(Vec4::ZERO), own * total - others, Vec4::ZERO);
                 }
             }
         });
@@ -386,26 +377,17 @@ impl<'a> Descent<'a> {
         let (bricks, low, high) = (self.bricks, &self.low, &self.high);
         let terms = if energy == Energy::Bending { &self.bending } else { &self.variation };
         let of_chunk = |(chunk, (values, ahead)): (usize, (&mut [f32], &mut [f32]))| {
-            let (mut uphill, mut largest) = ([0.0f64; WIDTH], [0.0f32; WIDTH]);
+            let (mut uphill, mut largest) = (DVec4::ZERO, Vec4::ZERO);
             let places = values.as_chunks_mut::<WIDTH>().0.iter_mut().zip(ahead.as_chunks_mut::<WIDTH>().0);
             for ((slot, beside), (values, ahead)) in bricks.chunk(chunk).zip(places) {
-                let slopes = slopes(slot, beside, terms);
-                // All is read before anything is written, so that the lanes do not wait for each other.
-                let (low, high, own, lead) = (*brick_at(low, slot), *brick_at(high, slot), *values, *ahead);
-                let [mut moved, mut changes, mut against, mut next] = [[0.0; WIDTH]; 4];
-                for l in 0..WIDTH {
-                    moved[l] = (lead[l] - slopes[l]).max(low[l]).min(high[l]);
-                    changes[l] = moved[l] - own[l];
-                    against[l] = (lead[l] - moved[l]) * changes[l];
-                    next[l] = moved[l] + carry * changes[l];
-                }
-                (*values, *ahead) = (moved, next);
-                for l in 0..WIDTH {
-                    uphill[l] += f64::from(against[l]);
-                    largest[l] = largest[l].max(changes[l].abs());
-                }
+                let (own, lead) = (Vec4::from_array(*values), Vec4::from_array(*ahead));
+                let moved = (lead - slopes(slot, beside, terms)).max(values_at(low, slot)).min(values_at(high, slot));
+                let changes = moved - own;
+                (*values, *ahead) = (moved.to_array(), (moved + carry * changes).to_array());
+                uphill += ((lead - moved) * changes).as_dvec4();
+                largest = largest.max(changes.abs());
             }
-            (uphill.iter().sum(), largest.into_iter().fold(0.0, f32::max))
+            (uphill.element_sum(), largest.max_element())
         };
         let values = self.values[bricks.range()].par_chunks_mut(CHUNK);
         let moves: Vec<(f64, f32)> =
@@ -421,26 +403,16 @@ fn brick_numbers(slot: usize, [up, down, far, near, up_far, down_near]: [usize; 
     [slot / WIDTH, up / WIDTH, down / WIDTH, far / WIDTH, near / WIDTH, up_far / WIDTH, down_near / WIDTH]
 }
 
-/// The values one voxel before those of a brick.
+/// The values one voxel before those of a brick, from its own and those of the brick before.
 #[inline]
-fn before(bricks: &[Brick], at: usize, term: usize) -> Lanes {
-    shifted_on(&bricks[at][term], &bricks[at - 1][term])
+fn shifted_on(own: Vec4, before: Vec4) -> Vec4 {
+    own.xxyz().with_x(before.w)
 }
 
-/// The values one voxel after those of a brick.
+/// The values one voxel after those of a brick, from its own and those of the brick after.
 #[inline]
-fn after(bricks: &[Brick], at: usize, term: usize) -> Lanes {
-    shifted_back(&bricks[at][term], &bricks[at + 1][term])
-}
-
-#[inline]
-fn shifted_on(own: &Lanes, before: &Lanes) -> Lanes {
-    [before[WIDTH - 1], own[0], own[1], own[2]]
-}
-
-#[inline]
-fn shifted_back(own: &Lanes, after: &Lanes) -> Lanes {
-    [own[1], own[2], own[3], after[0]]
+fn shifted_back(own: Vec4, after: Vec4) -> Vec4 {
+    own.yzww().with_w(after.x)
 }
 
 /// Which second differences have all their voxels, by slot.
@@ -461,7 +433,7 @@ fn terms_of(bricks: &Bricks) -> Vec<u32> {
 
 /// Sums of the rates over the neighbours that have a second difference too, by slot.
 fn totals_of(bricks: &Bricks, terms: &[u32], rates: [f32; 3]) -> Vec<Brick> {
-    let mut totals = vec![[[0.0; WIDTH]; TERMS]; terms.len() / WIDTH];
+    let mut totals = vec![[Vec4::ZERO; TERMS]; terms.len() / WIDTH];
     for slot in &bricks.slots {
         let at = *slot as usize;
         let axes = bricks.neighbors(*slot).into_iter().zip(rates);
@@ -485,24 +457,21 @@ fn bending_weights(spacing: DVec3) -> [f32; TERMS] {
 
 /// Slopes of an energy at the voxels of a brick, from its slopes by second differences: these transposed.
 #[inline]
-fn slopes(slot: usize, beside: [usize; 6], terms: &[Brick]) -> Lanes {
+fn slopes(slot: usize, beside: [usize; 6], terms: &[Brick]) -> Vec4 {
     let [at, up, down, far, near, _, down_near] = brick_numbers(slot, beside);
-    let [xx, yy, zz, xy, xz, yz] = &terms[at];
-    let (next_x, before_x) = (after(terms, at, 0), before(terms, at, 0));
-    let (next_y, before_y) = (&terms[up][1], &terms[down][1]);
-    let (next_z, before_z) = (&terms[far][2], &terms[near][2]);
-    let (xy_x, xy_y, xy_both) = (before(terms, at, 3), &terms[down][3], before(terms, down, 3));
-    let (xz_x, xz_z, xz_both) = (before(terms, at, 4), &terms[near][4], before(terms, near, 4));
-    let (yz_y, yz_z, yz_both) = (&terms[down][5], &terms[near][5], &terms[down_near][5]);
-    let mut slopes = [0.0; WIDTH];
-    for l in 0..WIDTH {
-        // Sums of few terms each: deep ones are not made by instructions for several lanes.
-        let straight = (next_x[l] + before_x[l] - 2.0 * xx[l]) + (next_y[l] + before_y[l] - 2.0 * yy[l]);
-        let mixed = (xy[l] - xy_x[l]) - (xy_y[l] - xy_both[l]) + ((xz[l] - xz_x[l]) - (xz_z[l] - xz_both[l]));
-        let rest = (next_z[l] + before_z[l] - 2.0 * zz[l]) + ((yz[l] - yz_y[l]) - (yz_z[l] - yz_both[l]));
-        slopes[l] = (straight + mixed) + rest;
-    }
-    slopes
+    let [xx, yy, zz, xy, xz, yz] = terms[at];
+    let (before, xx_after) = (&terms[at - 1], terms[at + 1][0]);
+    let (next_x, before_x) = (shifted_back(xx, xx_after), shifted_on(xx, before[0]));
+    let (next_y, before_y) = (terms[up][1], terms[down][1]);
+    let (next_z, before_z) = (terms[far][2], terms[near][2]);
+    let (xy_x, xy_y) = (shifted_on(xy, before[3]), terms[down][3]);
+    let (xz_x, xz_z) = (shifted_on(xz, before[4]), terms[near][4]);
+    let (xy_both, xz_both) = (shifted_on(xy_y, terms[down - 1][3]), shifted_on(xz_z, terms[near - 1][4]));
+    let (yz_y, yz_z, yz_both) = (terms[down][5], terms[near][5], terms[down_near][5]);
+    let straight = (next_x + before_x - 2.0 * xx) + (next_y + before_y - 2.0 * yy);
+    let mixed = (xy - xy_x) - (xy_y - xy_both) + ((xz - xz_x) - (xz_z - xz_both));
+    let rest = (next_z + before_z - 2.0 * zz) + ((yz - yz_y) - (yz_z - yz_both));
+    (straight + mixed) + rest
 }
 
 #[cfg(test)]
