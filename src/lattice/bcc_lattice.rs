@@ -55,6 +55,10 @@ const CUBES_PER_CHECK: usize = 1024;
 /// Distance of a tet's centroid to its farthest vertex, per cube edge: sqrt(5) / 4.
 pub const TET_RADIUS: f64 = 0.559_016_994_374_947_5;
 
+/// How far past the border of the image a tet is kept, in radii: up to one it has the label of the nearest voxels where the image
+/// continues there, and those at its vertices are two farther.
+const RADII_PAST_BORDER: f64 = 3.0;
+
 /// Where the lattice lies in the image.
 #[derive(Debug, Clone, Copy)]
 pub struct LatticeFrame {
@@ -242,7 +246,7 @@ impl<'a> Field<'a> {
         let offset = self.offset(index);
         let own = self.image.voxels()[offset];
         let continues = self.past_border == PastBorder::Continued;
-        let has_label = inside || continues && self.overshoot(local) < TET_RADIUS * edge;
+        let has_label = inside || continues && self.reaches_into(local, TET_RADIUS * edge);
         // The eight voxels lie within a voxel's diagonal of the nearest.
         let is_alone = match continues {
             true => f64::from(self.distance[offset]) > self.diagonal,
@@ -254,10 +258,11 @@ impl<'a> Field<'a> {
         self.interpolated_label(local * self.inverse)
     }
 
-    /// How far a point lies outside of the image, along the axis where that is most, mm.
-    fn overshoot(&self, local: DVec3) -> f64 {
+    /// Whether a point is less than `radius` outside of the image, along the axis where that is most; always one inside.
+    #[inline]
+    fn reaches_into(&self, local: DVec3, radius: f64) -> bool {
         let high = (self.size.as_dvec3() - 0.5) * self.voxel;
-        (local - local.clamp(-0.5 * self.voxel, high)).abs().max_element()
+        (local - local.clamp(-0.5 * self.voxel, high)).abs().max_element() < radius
     }
 
     /// Whether no voxel of another label is as near to a voxel of `own` label, the background outside of the image included.
@@ -325,23 +330,22 @@ impl<'a> Field<'a> {
         if !inside && !label.is_background() {
             return None;
         }
-        let reach = radius + local.distance(index.as_dvec3() * self.voxel);
+        // No voxel centre is nearer to a point past them than to where it is nearest to them.
+        let within = local.clamp(DVec3::ZERO, (self.size - 1).as_dvec3() * self.voxel);
+        let reach = radius + within.distance(index.as_dvec3() * self.voxel);
         self.lies_deeper(index, label, reach).then_some(label)
     }
 
-    /// Radius around the centroid of a background tet within which a labelled voxel's centre makes it worth keeping: of a
-    /// tet that shares a vertex with a labelled one, so that what surrounds a thin wall's vertices is there and a pinch can
-    /// be seen and filled. The label of a small element comes from voxels within half a diagonal of its centroid, and two
-    /// centroids at a vertex are at most two radii apart. Larger elements follow no wall.
-    pub fn reach_of_balls(&self, edge: f64) -> f64 {
-        let around_wall = 2.0 * TET_RADIUS * edge.min(SMALL_EDGE * self.voxel_size()) + 0.5 * self.diagonal;
-        (TET_RADIUS * edge).max(around_wall)
-    }
-
-    /// Whether a ball can hold the centre of a labelled voxel.
+    /// Whether a tet of the given edge around a point can hold a labelled voxel, have a label, or share a vertex with a tet that has
+    /// one, so that what surrounds a thin wall's vertices is there and a pinch can be seen and filled. The label of a small
+    /// element comes from voxels within half a diagonal of its centroid, and two centroids at a vertex are at most two radii
+    /// apart. Larger elements follow no wall.
     #[inline]
-    pub fn may_hold_labels(&self, local: DVec3, radius: f64) -> bool {
-        self.uniform_label(local, radius) != Some(Label::BACKGROUND)
+    pub fn is_near_labels(&self, local: DVec3, edge: f64) -> bool {
+        let around_wall = 2.0 * TET_RADIUS * edge.min(SMALL_EDGE * self.voxel_size()) + 0.5 * self.diagonal;
+        let reach = (TET_RADIUS * edge).max(around_wall);
+        self.uniform_label(local, reach) != Some(Label::BACKGROUND)
+            && self.reaches_into(local, RADII_PAST_BORDER * TET_RADIUS * edge)
     }
 }
 
@@ -466,7 +470,6 @@ pub fn coarsest_tets(
 ) -> Result<Vec<[u32; 4]>> {
     let edge = frame.edge(0);
     let axes = [IVec3::X, IVec3::Y, IVec3::Z];
-    let radius = TET_RADIUS * frame.spacing;
     let mut tets = Vec::new();
     for (number, cube) in cubes_along_curve(frame)?.into_iter().enumerate() {
         context.check_every(CUBES_PER_CHECK, number)?;
@@ -482,7 +485,7 @@ pub fn coarsest_tets(
             for side in 0..4 {
                 let tet = [center, center + edge * along, ring[side], ring[(side + 1) % 4]];
                 let centroid = 0.25 * tet.iter().map(|p| frame.local(*p)).sum::<DVec3>();
-                if field.may_hold_labels(centroid, radius) {
+                if field.is_near_labels(centroid, frame.spacing) {
                     tets.push(tet.map(|p| vertices.insert(p, frame, field)));
                 }
             }
@@ -548,5 +551,39 @@ mod tests {
         let deep = |y: f64| field.uniform_label(DVec3::new(1.0, y, 6.0), 1.5);
         assert_eq!([deep(6.0), deep(0.2)], [Some(Label(1)), None]);
         assert_eq!(field.uniform_label(DVec3::new(10.0, 0.2, 6.0), 1.5), Some(Label::BACKGROUND));
+    }
+
+    #[test]
+    fn the_lattice_ends_soon_past_the_border_and_around_all_that_is_labelled() {
+        use crate::lattice::face_adjacency::neighbors_of;
+        use crate::lattice::interface_topology::InterfaceTopology;
+        use crate::lattice::test_images::with_lattice_past;
+        // Tissue up to the border on all sides but one, where background lies in between.
+        let image = voxel_image(12, |p| if p.x < 8.9 { 1 + u16::from(p.y < 5.9) } else { 0 });
+        for border in [PastBorder::Background, PastBorder::Continued] {
+            with_lattice_past(border, &image, 6.0, |mut lattice, context| {
+                for _ in 0..2 {
+                    lattice.refine(&vec![true; lattice.tets.len()], context).unwrap();
+                }
+                let elements = lattice.elements(context).unwrap();
+                let vertices = lattice.vertices.positions.len();
+                let neighbors = neighbors_of(&elements.tets, vertices, context).unwrap();
+                let topology = InterfaceTopology::new(&elements.tets, &neighbors, vertices, context).unwrap();
+                let past = |p: DVec3| (-0.5 - p).max(p - 11.5).max_element();
+                let is_inside = |v: u32| past(lattice.frame.local(lattice.vertices.positions[v as usize])) < 0.0;
+                let (edge, mut labelled) = (lattice.frame.edge_length(2), 0);
+                for (tet, label) in elements.tets.iter().zip(&elements.labels) {
+                    assert!(past(lattice.centroid(tet)) < RADII_PAST_BORDER * TET_RADIUS * edge);
+                    if !label.is_background() {
+                        labelled += 1;
+                        assert!(tet.iter().all(|v| !is_inside(*v) || !topology.is_open(*v)), "{border:?}");
+                    }
+                }
+                // A tet is a twelfth of the cube of its edge; where the image continues the mesh is up to a radius larger.
+                let volume = |past: f64| (12.0 + 2.0 * past) * (12.0 + 2.0 * past) * (9.4 + past);
+                let count = |past: f64| 12.0 * volume(past) / edge.powi(3);
+                assert!(labelled as f64 > 0.9 * count(0.0) && (labelled as f64) < 1.05 * count(TET_RADIUS * edge));
+            });
+        }
     }
 }

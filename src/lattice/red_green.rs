@@ -4,7 +4,7 @@
 //! 1. Marked tets become red: their six edges are split.
 //! 2. Every other tet looks at its edges. All of them split, or one split twice, makes it red too. Other patterns are
 //!    treated as the [`Closure`] says. Repeated until nothing changes; the result does not depend on the order.
-//! 3. Red tets are replaced by their eight children; children that cannot hold a labelled voxel are dropped. Children
+//! 3. Red tets are replaced by their eight children; children that no label is near are dropped. Children
 //!    are looked at as in 2.
 //! 4. [`RedGreenLattice::elements`] closes what is left with green templates. Greens are never stored, so they are
 //!    gone before the next round; where nothing has changed they are taken over from the round before
@@ -293,10 +293,9 @@ impl<'a> RedGreenLattice<'a> {
 
     fn push_children(&self, tet: usize, middles: &[u32; 6], tets: &mut Vec<[u32; 4]>) {
         let edge = self.frame.edge_length(u32::from(self.levels[tet]) + 1);
-        let radius = self.field.reach_of_balls(edge);
         for child in RED_CHILDREN {
             let child = child.map(|v| local_vertex(v, &self.tets[tet], middles));
-            if self.field.may_hold_labels(self.centroid(&child), radius) {
+            if self.field.is_near_labels(self.centroid(&child), edge) {
                 tets.push(child);
             }
         }

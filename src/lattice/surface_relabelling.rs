@@ -478,20 +478,26 @@ mod tests {
             (DVec3::new(0.5, 0.03, -0.23), 2.49),
             (DVec3::new(0.23, -0.26, -0.28), 4.68),
         ];
-        let value = |p: DVec3| waves.iter().map(|(way, phase)| (way.dot(p) + phase).sin()).sum::<f64>();
-        let slope = |p: DVec3| waves.iter().map(|(way, phase)| *way * (way.dot(p) + phase).cos()).sum::<DVec3>();
         let middle = DVec3::splat(24.5);
-        let image = voxel_image(50, |p| u16::from(value(p) > 0.0 && p.distance(middle) < 22.0));
         let options = Options::from_parameters(&ParameterSet::new(PARAMETERS)).unwrap();
-        let mesh = crate::lattice::run(&image, &options, &RunContext::with_threads(1).unwrap()).unwrap().0.mesh;
-        let is_upside_down = |[a, b, c]: [DVec3; 3]| {
-            let center = (a + b + c) / 3.0;
-            center.distance(middle) < 20.0 && (b - a).cross(c - a).dot(slope(center)) > 0.0
-        };
-        let triangles = mesh.boundary.triangles.iter().map(|triangle| triangle.map(|v| mesh.points[v.index()]));
-        let upside_down = triangles.filter(|corners| is_upside_down(*corners)).count();
-        // Measured 2; 22 where none is turned over and all chords are split.
-        assert!(mesh.boundary.triangles.len() > 5000 && upside_down <= 4, "{upside_down}");
+        // Some more or less of one shape are chance.
+        let (mut triangle_count, mut upside_down) = (0, 0);
+        for shift in [0.0, 2.0, 4.0] {
+            let value = |p: DVec3| waves.iter().map(|(way, phase)| (way.dot(p) + phase + shift).sin()).sum::<f64>();
+            let slope =
+                |p: DVec3| waves.iter().map(|(way, phase)| *way * (way.dot(p) + phase + shift).cos()).sum::<DVec3>();
+            let image = voxel_image(50, |p| u16::from(value(p) > 0.0 && p.distance(middle) < 22.0));
+            let mesh = crate::lattice::run(&image, &options, &RunContext::with_threads(1).unwrap()).unwrap().0.mesh;
+            let is_upside_down = |[a, b, c]: [DVec3; 3]| {
+                let center = (a + b + c) / 3.0;
+                center.distance(middle) < 20.0 && (b - a).cross(c - a).dot(slope(center)) > 0.0
+            };
+            let triangles = mesh.boundary.triangles.iter().map(|triangle| triangle.map(|v| mesh.points[v.index()]));
+            triangle_count += mesh.boundary.triangles.len();
+            upside_down += triangles.filter(|corners| is_upside_down(*corners)).count();
+        }
+        // Measured 13; 28 where none is turned over and all chords are split.
+        assert!(triangle_count > 30_000 && upside_down <= 20, "{upside_down} of {triangle_count}");
     }
 
     #[test]
