@@ -4,7 +4,7 @@
 //! 1. Cubes of edge `spacing` cover the labelled region with one more cube on every side.
 //! 2. Across each face between two cubes stand four tets: the two cube centres (a long edge) and one edge of the face
 //!    (the other long edge).
-//! 3. Tets that cannot hold the centre of a labelled voxel are left out.
+//! 3. Tets that no labelled voxel is near, and those far past the border of the image, are left out.
 //!
 //! ```text
 //!     c1 ----|---- c2     c1, c2 centres of neighbouring cubes, v1 v2 one of the four edges of their common face:
@@ -458,7 +458,7 @@ fn cubes_along_curve(frame: &LatticeFrame) -> Result<Vec<IVec3>> {
     Ok(hilbert_order(&cubes)?.into_iter().map(|cube| cubes[cube as usize].as_ivec3()).collect())
 }
 
-/// The coarsest tets that can hold a labelled voxel, cube by cube.
+/// The coarsest tets that are near labels, cube by cube.
 ///
 /// # Errors
 /// [`Error::Cancelled`], [`Error::LimitReached`].

@@ -266,9 +266,9 @@ impl<'a> Descent<'a> {
                         1 => shifted_on(own, bending[at - 1][term]),
                         _ => bending[[up, down, far, near][direction - 2]][term],
                     };
-                    let rates = where_has(&common, term, rate);
-                    sums[0] += rates * ((own - other) * (own - other)) / *weight;
-                    sums[1] += rates;
+                    let (of_common, difference) = (where_has(&common, term, rate), own - other);
+                    sums[0] += of_common * (difference * difference) / *weight;
+                    sums[1] += of_common;
                 }
             }
             sums
