@@ -31,7 +31,7 @@ use crate::error::Result;
 use crate::lattice::change_log::Mark;
 use crate::lattice::element_score::{Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
-use crate::lattice::local_transformations::{contract_edge, may_contract, split_edge};
+use crate::lattice::local_transformations::{contract_edge, may_contract, sorted_edge, split_edge};
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::surface_cuts::distance_off;
 use crate::mesh::numbering::TET_EDGES;
@@ -246,7 +246,7 @@ impl IteratedSearch {
         let mut seen = FxHashSet::default();
         for t in tets {
             let mut ends = edges_of(t).to_vec();
-            ends.retain(|[a, b]| seen.insert([*a.min(b), *a.max(b)]));
+            ends.retain(|[a, b]| seen.insert(sorted_edge(*a, *b)));
             let both_ways = ends.iter().flat_map(|[a, b]| [(*a, *b), (*b, *a)]);
             let contractions = both_ways.filter(|(from, to)| may_contract(mesh, *from, *to));
             found.extend(contractions.map(|(from, to)| Perturbation::Contract(from, to)));

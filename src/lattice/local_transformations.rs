@@ -29,7 +29,6 @@ use glam::DVec3;
 use crate::index::Label;
 use crate::lattice::element_score::{Ball, Part, Threshold, lowest_score, part_fails, tet_score};
 use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace, neighbors_in, ordered_rest, part_of};
-use crate::lattice::planned_batches::Touched;
 use crate::lattice::scaffold::SCAFFOLD_ANGLE;
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::surface_cuts::{LabelledFace, worst_cut};
@@ -112,42 +111,64 @@ impl Split {
 
 impl Transformation {
     /// The first transformation of a tet, in the order of their cost, that gains enough; `slack` is how far a new surface vertex may stay
-    /// off its surface, mm, `ball` a scratch buffer. It is found from the tets at the vertices of
-    /// [`append_vertices_around_tet`].
-    pub fn plan(mesh: &ImprovementMesh, t: u32, slack: f64, ball: &mut Ball) -> Option<Self> {
+    /// off its surface, mm, `ball` a scratch buffer. It is found from the tets at the vertices of [`append_vertices_around_tet`]. Edges
+    /// that are `unsplit` ([`sorted_edge`]) are known not to gain by a split, which depends on the tets around them only.
+    pub fn plan(
+        mesh: &ImprovementMesh,
+        t: u32,
+        slack: f64,
+        unsplit: impl Fn([u32; 2]) -> bool,
+        ball: &mut Ball,
+    ) -> Option<Self> {
         let tet = mesh.tets[t as usize];
         let edges = || TET_EDGES.into_iter().map(|edge| edge.map(|v| tet[v]));
         let removal = || edges().find_map(|[a, b]| edge_removal(mesh, a, b)).map(Self::EdgeRemoval);
         let exchange = || (0..4).find_map(|face| face_exchange(mesh, t, face)).map(Self::FaceExchange);
         let turn = || edges().find_map(|[a, b]| surface_edge_turn(mesh, t, a, b)).map(Self::Turn);
         let contraction = || one_contraction(mesh, t).map(|(from, to)| Self::Contraction(from, to));
-        let split = || edges().find_map(|[a, b]| edge_split(mesh, a, b, slack, ball)).map(Self::Split);
+        let split = || {
+            let mut edges = edges().filter(|[a, b]| !unsplit(sorted_edge(*a, *b)));
+            edges.find_map(|[a, b]| edge_split(mesh, a, b, slack, ball)).map(Self::Split)
+        };
         removal().or_else(exchange).or_else(turn).or_else(contraction).or_else(split)
     }
 
+    /// The tets that it changes.
+    pub fn tets<'a>(&'a self, mesh: &'a ImprovementMesh) -> &'a [u32] {
+        match self {
+            Self::EdgeRemoval(replacement) | Self::FaceExchange(replacement) | Self::Turn(replacement) => {
+                &replacement.old
+            }
+            Self::Contraction(from, _) => mesh.ball(*from),
+            Self::Split(split) => &split.shell,
+        }
+    }
+
     /// Makes a transformation that was planned on the mesh as it is.
-    pub fn make(self, mesh: &mut ImprovementMesh, touched: &mut Touched, counts: &mut TransformationCounts) {
+    pub fn make(self, mesh: &mut ImprovementMesh, counts: &mut TransformationCounts) {
         let (count, replacement) = match self {
             Self::EdgeRemoval(replacement) => (&mut counts.edge_removals, replacement),
             Self::FaceExchange(replacement) => (&mut counts.face_exchanges, replacement),
             Self::Turn(replacement) => (&mut counts.turned_edges, replacement),
             Self::Contraction(from, to) => {
-                touched.mark(mesh, from);
                 merge_into(mesh, from, to);
                 counts.contractions += 1;
                 return;
             }
             Self::Split(split) => {
-                touched.mark_tets(mesh, &split.shell);
                 split.make(mesh);
                 counts.splits += 1;
                 return;
             }
         };
-        touched.mark_tets(mesh, &replacement.old);
         mesh.replace(&replacement.old, &replacement.new);
         *count += 1;
     }
+}
+
+/// An edge, lower vertex first.
+pub fn sorted_edge(a: u32, b: u32) -> [u32; 2] {
+    [a.min(b), a.max(b)]
 }
 
 /// Appends the vertices whose tets tell how a tet can be transformed: those of the tets that share an edge with it, some more than once.
@@ -467,7 +488,7 @@ pub fn sides_of_edge(mesh: &ImprovementMesh, a: u32, b: u32, shell: &[u32]) -> V
 }
 
 /// The split of an edge at its middle when that, with the new vertex optimised, scores higher.
-fn edge_split(mesh: &ImprovementMesh, a: u32, b: u32, slack: f64, ball: &mut Ball) -> Option<Split> {
+pub fn edge_split(mesh: &ImprovementMesh, a: u32, b: u32, slack: f64, ball: &mut Ball) -> Option<Split> {
     let shell = mesh.shell(a, b);
     let needed = mesh.lowest(&shell) + LEAST_GAIN;
     // The angle of a tet at the edge opposite to the split one is shared by its two halves, wherever the new vertex goes.

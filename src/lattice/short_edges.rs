@@ -21,7 +21,7 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::lattice::element_score::{Ball, Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
-use crate::lattice::local_transformations::{contraction_is_good, may_contract, merge_into};
+use crate::lattice::local_transformations::{contraction_is_good, may_contract, merge_into, sorted_edge};
 use crate::lattice::planned_batches::{PlannedChange, Touched, change_in_order};
 use crate::lattice::vertex_optimization::{plan_centering, plan_relaxation};
 use crate::mesh::numbering::TET_EDGES;
@@ -175,7 +175,7 @@ fn short_edges(mesh: &ImprovementMesh, short: f64, tets: impl ParallelIterator<I
         let (length, [a, b]) =
             lengths.into_iter().zip(TET_EDGES).fold((f64::INFINITY, [0, 1]), |l, r| if r.0 < l.0 { r } else { l });
         let [a, b] = [tet[a], tet[b]];
-        (length < short * short * longest).then(|| (length, [a.min(b), a.max(b)]))
+        (length < short * short * longest).then(|| (length, sorted_edge(a, b)))
     };
     let mesh_tets = tets.filter(|t| mesh.part(*t) == Part::Mesh && mesh.is_live(*t));
     let mut edges: Vec<(f64, [u32; 2])> = mesh_tets.filter_map(short_edge).collect();
