@@ -5,7 +5,8 @@
 //! first. For each low tet, until one helps:
 //! 1. A perturbation is made, whatever it costs, as long as no tet becomes flat: the tet's vertices go half of the way back to
 //!    where the lattice had them, one of its edges is contracted, or one is split.
-//! 2. The tets around are made better by the means of the improvement.
+//! 2. The tets around are made better by the means of the improvement; in a crowd of low tets only those near what changed, and no longer
+//!    than there is hope.
 //! 3. When fewer tets are low then, or the lowest is less low, and no vertex is farther off its surface than the slack and than any
 //!    was before, it stays; else everything is taken back.
 //!
@@ -22,7 +23,7 @@
 //! the slack, or than the farthest around was. A vertex on the image border stays in its plane, and a fixed vertex where it is.
 //!
 //! # Cost
-//! At most 19 perturbations per low tet and a budget for the mesh; each touches a few rings of tets.
+//! At most 19 perturbations per low tet, some 170 with the edges around it, and a budget for the mesh; each touches a few rings of tets.
 
 use glam::DVec3;
 use rustc_hash::FxHashSet;
@@ -44,6 +45,14 @@ pub const LEAST_PERTURBED: f64 = 1.0;
 
 /// Parts of the way back to the lattice that are tried, the largest first.
 const STEPS_BACK: [f64; 3] = [0.5, 0.25, 0.12];
+
+/// Low tets around a place from which on they are a crowd, and how many more may be low after the first sweep of a trial in it. A trial
+/// in a crowd costs ten to twenty times what one elsewhere does. Of 1203 trials in those of an atlas cut out of its image 802 had eleven
+/// or more new low tets after the first sweep; 8 of them ended better than before, 174 of the others. On nine images with crowds the
+/// searches take 17 instead of 28 s with both bounds, and 92 instead of 115 tets stay low. With a crowd of 4 and 6 more it is 14 s and
+/// 114 tets, of 8 and 4 more 22 s and 161.
+const CROWD: usize = 16;
+const MOST_SPOILED: usize = 10;
 
 /// Rise of the lowest score that counts, degrees.
 const LEAST_RISE: f64 = 0.05;
@@ -143,15 +152,25 @@ pub struct Surroundings<'a> {
 }
 
 impl Surroundings<'_> {
-    /// The tets of the vertices that may be low now, in order: those that were, and those with a vertex that was touched.
+    /// The tets of the vertices that are to be mended if they are low now, in order: those with a vertex that was touched and, unless
+    /// they are a crowd, those that were low before.
     pub fn candidates(&self, mesh: &ImprovementMesh) -> Vec<u32> {
         let mut tets = mesh.tets_of(mesh.touched_since(self.trial));
-        tets.extend(&self.before.low);
+        if self.before.low.len() < CROWD {
+            tets.extend(&self.before.low);
+        }
         tets.sort_unstable();
         tets.dedup();
         // A slot that was filled anew may be that of a tet elsewhere; an empty one has no vertex.
         tets.retain(|t| has_any_of(mesh, *t, self.vertices));
         tets
+    }
+
+    /// Whether a sweep has spoiled so much in a crowd that hardly any other would mend it; those below `wanted` are low.
+    pub fn are_spoiled(&self, mesh: &ImprovementMesh, wanted: f64) -> bool {
+        let before = self.before.low.len();
+        let after = || self.before.after(mesh, &mesh.touched_since(self.trial), wanted).low.len();
+        before >= CROWD && after() > before + MOST_SPOILED
     }
 }
 
@@ -374,11 +393,11 @@ mod tests {
         let image = voxel_image(4, |_| 1);
         with_tets(points, &tets, &image, |mut mesh| {
             // The tets are all alike; some become low.
-            (0..300).step_by(3).for_each(|v| mesh.points[v] *= 1.0 - 0.001 * v as f64);
+            (0..300).step_by(8).for_each(|v| mesh.points[v] *= 1.0 - 0.001 * v as f64);
             let wanted = mesh.lowest(&[30]) + 0.1;
             let near = vertices_around(&mesh, &mesh.tets[150]);
             let before = Outcome::of(&mesh, near.clone(), wanted);
-            assert!(before.low.len() > 2, "{before:?}");
+            assert!((3..CROWD).contains(&before.low.len()), "{before:?}");
             let trial = mesh.begin_trial();
             // Within and beside the rings: a vertex moves, tets go, slots are filled anew.
             mesh.move_vertex(near[1], mesh.points[near[1] as usize] + 0.05);
@@ -398,6 +417,36 @@ mod tests {
             assert_eq!(low, Outcome::of(&mesh, near.clone(), wanted).low);
             mesh.take_back(trial);
             assert_eq!(Outcome::of(&mesh, near, wanted), before);
+        });
+    }
+
+    #[test]
+    fn in_a_crowd_only_what_was_touched_is_mended_as_long_as_there_is_hope() {
+        let (points, tets) = helix(300);
+        with_tets(points, &tets, &voxel_image(4, |_| 1), |mut mesh| {
+            // All tets from 100 to 200 are low but for the last ones.
+            let wanted = mesh.lowest(&[30]) - 0.1;
+            let lower = |mesh: &mut ImprovementMesh, vertices: std::ops::Range<usize>| {
+                vertices.step_by(4).for_each(|v| mesh.move_vertex(v as u32, mesh.points[v] * 0.5));
+            };
+            lower(&mut mesh, 100..160);
+            let crowd: Vec<u32> = (100..200).collect();
+            let before = Outcome::of(&mesh, crowd.clone(), wanted);
+            assert!(before.low.len() >= CROWD);
+            let few = Outcome::of(&mesh, crowd[..10].to_vec(), wanted);
+            assert!(!few.low.is_empty() && few.low.len() < CROWD);
+            let trial = mesh.begin_trial();
+            mesh.move_vertex(104, mesh.points[104] * 1.01);
+            let around = Surroundings { vertices: &crowd, before: &before, trial };
+            assert_eq!(around.candidates(&mesh), mesh.tets_of(vec![104]));
+            let in_few = Surroundings { before: &few, ..around };
+            assert!(few.low.iter().all(|t| in_few.candidates(&mesh).contains(t)));
+            assert!(!around.are_spoiled(&mesh, wanted));
+            lower(&mut mesh, 164..200);
+            let after = before.after(&mesh, &mesh.touched_since(trial), wanted);
+            assert!(after.low.len() > before.low.len() + MOST_SPOILED);
+            assert!(around.are_spoiled(&mesh, wanted) && !in_few.are_spoiled(&mesh, wanted));
+            mesh.take_back(trial);
         });
     }
 

@@ -455,7 +455,7 @@ fn search_last(
     Ok((better, left))
 }
 
-/// Sweeps over the low tets around a place; what is low is what it was before the trial there.
+/// Sweeps over the low tets around a place, as long as there is hope; what is low is what it was before the trial there.
 fn mend_around(
     work: &mut ImprovementMesh,
     around: &Surroundings,
@@ -464,7 +464,10 @@ fn mend_around(
     context: &RunContext,
 ) -> Result<()> {
     let mut raising = Raising::new(*effort, counts);
-    for _ in 0..SEARCH_SWEEPS {
+    for sweep in 0..SEARCH_SWEEPS {
+        if sweep > 0 && around.are_spoiled(work, effort.wanted) {
+            break;
+        }
         let low = low_among(work, around.candidates(work), effort.wanted, context)?;
         raising.sweep(work, low, context)?;
     }
