@@ -193,23 +193,27 @@ fn labels_of(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
 /// How a tet lies whose vertices are all on the surface between two labels and perhaps on others, and what is behind its faces; `None`
 /// for others, at the border of the image, and where its faces touch a third label.
 fn labels_of_faces(mesh: &ImprovementMesh, t: u32) -> Option<(Between, [Label; 4])> {
-    let is_on_surface = || mesh.tets[t as usize].iter().all(|v| mesh.is_on_surface(*v));
-    if !mesh.is_live(t) || !is_on_surface() {
+    if !mesh.is_live(t) {
         return None;
     }
     let own = mesh.labels[t as usize];
+    let tet = mesh.tets[t as usize];
+    let has = |v: &u32, label: Label| mesh.sides(*v).contains(&Side::Label(label));
+    let is_at_border = |v: &u32| mesh.sides(*v).iter().any(|side| matches!(side, Side::Border(_)));
+    if !tet.iter().all(|v| has(v, own) && !is_at_border(v)) {
+        return None;
+    }
+    // Few have the same other label at all corners: only for these it is worth looking for what is behind.
+    let is_common =
+        |side: &Side| matches!(side, Side::Label(label) if *label != own && tet.iter().all(|v| has(v, *label)));
+    if !mesh.sides(tet[0]).iter().any(is_common) {
+        return None;
+    }
     let [Some(a), Some(b), Some(c), Some(d)] = mesh.neighbors(t) else { return None };
     let behind = [a, b, c, d].map(|n| mesh.labels[n as usize]);
     let other = behind.into_iter().find(|label| *label != own)?;
-    if behind.iter().any(|label| ![own, other].contains(label)) {
-        return None;
-    }
-    let is_between = |v: &u32| {
-        let sides = mesh.sides(*v);
-        [own, other].iter().all(|label| sides.contains(&Side::Label(*label)))
-            && !sides.iter().any(|side| matches!(side, Side::Border(_)))
-    };
-    mesh.tets[t as usize].iter().all(is_between).then_some((Between { own, other, inner: None }, behind))
+    let are_between = tet.iter().all(|v| has(v, other)) && behind.iter().all(|label| [own, other].contains(label));
+    are_between.then_some((Between { own, other, inner: None }, behind))
 }
 
 /// Why a tet is to go over: how far its middle lies beyond its surface, mm, or 0 where only its triangles are upside down.
