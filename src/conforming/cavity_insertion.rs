@@ -34,7 +34,7 @@ use super::flips::Outcome;
 use crate::error::Result;
 use crate::geometry::predicates::{insphere, orient3d};
 use crate::index::{TetFace, TetId, VertexId};
-use crate::mesh::numbering::{TET_EDGE_BETWEEN, TET_EDGES, TET_FACES};
+use crate::mesh::numbering::{TET_EDGE_BETWEEN, TET_EDGES, TET_FACES, sorted_edge};
 use crate::mesh::tet_store::TetStore;
 
 /// Borders up to twice this size are glued by search in a list, larger ones by a map.
@@ -218,13 +218,12 @@ impl CavityScratch {
         if !self.cavity.iter().any(|&tet| store.flags(tet).has_constrained_edge()) {
             return true;
         }
-        let sorted = |a: VertexId, b: VertexId| [a.min(b), a.max(b)];
         self.open_map.clear();
         for face in &self.border {
             let [a, b, c] = face.corners;
             for (constrained, edge) in face.edges.into_iter().zip([[a, b], [b, c], [c, a]]) {
                 if constrained {
-                    self.open_map.insert(sorted(edge[0], edge[1]), TetFace::NONE);
+                    self.open_map.insert(sorted_edge(edge[0], edge[1]), TetFace::NONE);
                 }
             }
         }
@@ -232,7 +231,7 @@ impl CavityScratch {
             let (flags, row) = (store.flags(tet), store.vertices(tet));
             !flags.has_constrained_edge()
                 || TET_EDGES.iter().enumerate().all(|(edge, &[i, j])| {
-                    !flags.is_edge_constrained(edge) || self.open_map.contains_key(&sorted(row[i], row[j]))
+                    !flags.is_edge_constrained(edge) || self.open_map.contains_key(&sorted_edge(row[i], row[j]))
                 })
         })
     }

@@ -35,6 +35,7 @@ use crate::geometry::intersection::{Meeting, is_collinear, segment_meets_triangl
 use crate::geometry::point_grid::close_pairs;
 use crate::geometry::predicates::orient3d;
 use crate::index::VertexId;
+use crate::mesh::numbering::sorted_edge;
 use crate::mesh::surface_mesh::{PatchRole, SurfaceMesh};
 
 /// Facets tested between two looks at the cancellation flag.
@@ -111,7 +112,7 @@ struct LeftOut {
 
 impl LeftOut {
     fn add(&mut self, facet: [u32; 3]) {
-        self.edges.extend(edges_of(facet).map(sorted));
+        self.edges.extend(edges_of(facet).map(|[a, b]| sorted_edge(a, b)));
     }
 
     fn explains(&self, edge: [u32; 2]) -> bool {
@@ -530,7 +531,7 @@ impl EdgeTable {
     fn new(facets: &[(u32, [u32; 3])]) -> Self {
         let sides = |(facet, row): (usize, &(u32, [u32; 3]))| {
             let edges = edges_of(row.1);
-            [0, 1, 2].map(|place| (sorted(edges[place]), facet as u32, place as u8))
+            [0, 1, 2].map(|place| (sorted_edge(edges[place][0], edges[place][1]), facet as u32, place as u8))
         };
         let mut all: Vec<_> = facets.iter().enumerate().flat_map(sides).collect();
         all.par_sort_unstable();
@@ -564,10 +565,6 @@ fn is_usable(point: DVec3) -> bool {
 
 fn edges_of([a, b, c]: [u32; 3]) -> [[u32; 2]; 3] {
     [[a, b], [b, c], [c, a]]
-}
-
-fn sorted([a, b]: [u32; 2]) -> [u32; 2] {
-    if a < b { [a, b] } else { [b, a] }
 }
 
 #[cfg(test)]

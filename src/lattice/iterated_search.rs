@@ -32,10 +32,10 @@ use crate::error::Result;
 use crate::lattice::change_log::Mark;
 use crate::lattice::element_score::{Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
-use crate::lattice::local_transformations::{contract_edge, may_contract, sorted_edge, split_edge};
+use crate::lattice::local_transformations::{contract_edge, may_contract, split_edge};
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::surface_cuts::distance_off;
-use crate::mesh::numbering::TET_EDGES;
+use crate::mesh::numbering::{TET_EDGES, sorted_edge};
 
 /// Rings of vertices around a low tet that are mended and compared.
 const RINGS: usize = 2;

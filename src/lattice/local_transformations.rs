@@ -31,9 +31,9 @@ use crate::lattice::element_score::{Ball, Part, Threshold, lowest_score, part_fa
 use crate::lattice::improvement_mesh::{ImprovementMesh, SurfaceFace, neighbors_in, ordered_rest, part_of};
 use crate::lattice::scaffold::SCAFFOLD_ANGLE;
 use crate::lattice::subvoxel_surface::Side;
-use crate::lattice::surface_cuts::{LabelledFace, worst_cut};
+use crate::lattice::surface_cuts::{LabelledFace, worst_cut, worst_new_cut};
 use crate::lattice::vertex_optimization::better_place;
-use crate::mesh::numbering::{TET_EDGES, TET_FACES};
+use crate::mesh::numbering::{TET_EDGES, TET_FACES, sorted_edge};
 
 /// Rise of the lowest score that is worth a change of the mesh, degrees.
 const LEAST_GAIN: f64 = 0.3;
@@ -112,7 +112,7 @@ impl Split {
 impl Transformation {
     /// The first transformation of a tet, in the order of their cost, that gains enough; `slack` is how far a new surface vertex may stay
     /// off its surface, mm, `ball` a scratch buffer. It is found from the tets at the vertices of [`append_vertices_around_tet`]. Edges
-    /// that are `unsplit` ([`sorted_edge`]) are known not to gain by a split, which depends on the tets around them only.
+    /// that are `unsplit`, lower vertex first, are known not to gain by a split, which depends on the tets around them only.
     pub fn plan(
         mesh: &ImprovementMesh,
         t: u32,
@@ -164,11 +164,6 @@ impl Transformation {
         mesh.replace(&replacement.old, &replacement.new);
         *count += 1;
     }
-}
-
-/// An edge, lower vertex first.
-pub fn sorted_edge(a: u32, b: u32) -> [u32; 2] {
-    [a.min(b), a.max(b)]
 }
 
 /// Appends the vertices whose tets tell how a tet can be transformed: those of the tets that share an edge with it, some more than once.
@@ -433,11 +428,12 @@ fn surface_contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32, shell
 /// of its sides; where it already did, more than before.
 fn cuts_off(
     mesh: &ImprovementMesh,
-    before: impl Iterator<Item = LabelledFace>,
-    after: impl Iterator<Item = LabelledFace>,
+    before: impl Iterator<Item = LabelledFace> + Clone,
+    after: impl Iterator<Item = LabelledFace> + Clone,
 ) -> bool {
     let limit = LARGEST_CUT * mesh.surface.spacing().min_element();
-    let worst = worst_cut(mesh, after);
+    // What is there before and after is no reason.
+    let worst = worst_new_cut(mesh, before.clone(), after);
     worst > limit && worst > worst_cut(mesh, before)
 }
 

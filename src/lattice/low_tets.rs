@@ -28,12 +28,10 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::lattice::element_score::{Ball, Threshold};
 use crate::lattice::improvement_mesh::{ImprovementMesh, numbers_where};
-use crate::lattice::local_transformations::{
-    Transformation, TransformationCounts, append_vertices_around_tet, sorted_edge,
-};
+use crate::lattice::local_transformations::{Transformation, TransformationCounts, append_vertices_around_tet};
 use crate::lattice::planned_batches::{PlannedChange, Touched, change_in_order, spread_over_batches};
 use crate::lattice::vertex_optimization::better_place;
-use crate::mesh::numbering::TET_EDGES;
+use crate::mesh::numbering::{TET_EDGES, sorted_edge};
 
 /// Width of a class of tets that are worked on in the order of their numbers, degrees.
 const SCORE_CLASS: f64 = 4.0;

@@ -21,10 +21,10 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::lattice::element_score::{Ball, Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
-use crate::lattice::local_transformations::{contraction_is_good, may_contract, merge_into, sorted_edge};
+use crate::lattice::local_transformations::{contraction_is_good, may_contract, merge_into};
 use crate::lattice::planned_batches::{PlannedChange, Touched, change_in_order};
 use crate::lattice::vertex_optimization::{plan_centering, plan_relaxation};
-use crate::mesh::numbering::TET_EDGES;
+use crate::mesh::numbering::{TET_EDGES, sorted_edge};
 
 /// What becomes of an edge that cannot be contracted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

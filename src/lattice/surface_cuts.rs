@@ -16,6 +16,7 @@ use rustc_hash::FxHashMap;
 use crate::index::Label;
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::subvoxel_surface::Side;
+use crate::mesh::numbering::sorted_edge;
 
 /// A surface face: its vertices and the labels of its sides.
 pub type LabelledFace = ([u32; 3], [Label; 2]);
@@ -44,6 +45,29 @@ pub fn worst_cut(mesh: &ImprovementMesh, faces: impl Iterator<Item = LabelledFac
         edges.into_iter().fold(face_cut(mesh, [a, b, c], sides), f64::max)
     };
     faces.map(off).fold(0.0, f64::max)
+}
+
+/// The same of the faces and edges that are there after a change and were not before.
+pub fn worst_new_cut(
+    mesh: &ImprovementMesh,
+    before: impl Iterator<Item = LabelledFace>,
+    after: impl Iterator<Item = LabelledFace>,
+) -> f64 {
+    let edges_of =
+        |([a, b, c], sides): LabelledFace| [[a, b], [b, c], [c, a]].map(|[from, to]| (sorted_edge(from, to), sides));
+    let mut known: Vec<([u32; 2], [Label; 2])> = before.flat_map(edges_of).collect();
+    let mut worst = 0.0_f64;
+    for face in after {
+        worst = worst.max(face_cut(mesh, face.0, face.1));
+        for edge in edges_of(face) {
+            // A handful: looking through them is faster than a table.
+            if !known.contains(&edge) {
+                known.push(edge);
+                worst = worst.max(edge_cut(mesh, edge.0, edge.1));
+            }
+        }
+    }
+    worst
 }
 
 fn depth(mesh: &ImprovementMesh, place: DVec3, [inner, outer]: [Label; 2]) -> f64 {
@@ -142,6 +166,15 @@ mod tests {
                 worst_cut(&mesh, faces.iter().map(of_face)).max(of_vertex)
             };
             assert!((first - corners.map(at_vertex).into_iter().fold(0.0, f64::max)).abs() < 1e-9, "{first}");
+            // What is there before and after does not count; an edge of two faces counts once.
+            let faces: Vec<LabelledFace> =
+                mesh.surface_faces(0).iter().map(|f| ([0, f.others[0], f.others[1]], mesh.labels_beside(f))).collect();
+            let new = |before: usize, after: &[LabelledFace]| {
+                worst_new_cut(&mesh, faces[..before].iter().copied(), after.iter().copied())
+            };
+            assert_eq!(new(0, &faces), worst_cut(&mesh, faces.iter().copied()));
+            let centers = faces.iter().map(|(corners, sides)| face_cut(&mesh, *corners, *sides));
+            assert_eq!(new(faces.len(), &faces), centers.fold(0.0, f64::max));
             let answers = known.known.len();
             assert_eq!(known.farthest_around(&mesh, &corners), first);
             assert_eq!(known.known.len(), answers);

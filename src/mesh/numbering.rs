@@ -25,6 +25,12 @@ pub const TET_EDGES: [[usize; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], 
 /// `(0, 1, 2, 3)`: the tet a b c d is positive when 0 1 2 3 is.
 pub const TET_OPPOSITE_EDGES: [[usize; 2]; 6] = [[2, 3], [3, 1], [1, 2], [0, 3], [2, 0], [0, 1]];
 
+/// The ends of an edge, the lower one first.
+#[inline]
+pub fn sorted_edge<T: Ord + Copy>(a: T, b: T) -> [T; 2] {
+    [a.min(b), a.max(b)]
+}
+
 /// The number in [`TET_EDGES`] of the edge between two local vertices; 6 on the diagonal.
 pub const TET_EDGE_BETWEEN: [[usize; 4]; 4] = [[6, 0, 1, 2], [0, 6, 3, 4], [1, 3, 6, 5], [2, 4, 5, 6]];
 

@@ -25,6 +25,7 @@ use crate::error::{Error, Result};
 use crate::geometry::tetrahedron::{barycentric, volume6};
 use crate::index::{Label, TetFace, TetId, VertexId};
 use crate::mesh::mixed_mesh::{ElementKind, MixedMesh};
+use crate::mesh::numbering::sorted_edge;
 use crate::mesh::sizing::Sizing;
 use crate::mesh::surface_mesh::SurfaceMesh;
 use crate::mesh::tet_complex::TetComplex;
@@ -229,11 +230,8 @@ impl SizeField {
 
 /// The average length of the edges at each point of a triangulation; 0 for points without triangles.
 pub fn average_edges(count: usize, points: &[DVec3], facets: &[[VertexId; 3]]) -> Vec<f64> {
-    let mut edges: Vec<[VertexId; 2]> = facets
-        .iter()
-        .flat_map(|[a, b, c]| [[*a, *b], [*b, *c], [*c, *a]])
-        .map(|[a, b]| if a < b { [a, b] } else { [b, a] })
-        .collect();
+    let mut edges: Vec<[VertexId; 2]> =
+        facets.iter().flat_map(|[a, b, c]| [[*a, *b], [*b, *c], [*c, *a]]).map(|[a, b]| sorted_edge(a, b)).collect();
     edges.sort_unstable();
     edges.dedup();
     let (mut sums, mut numbers) = (vec![0.0; count], vec![0u32; count]);
