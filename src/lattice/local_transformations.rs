@@ -121,16 +121,25 @@ impl Transformation {
         ball: &mut Ball,
     ) -> Option<Self> {
         let tet = mesh.tets[t as usize];
-        let edges = || TET_EDGES.into_iter().map(|edge| edge.map(|v| tet[v]));
-        let removal = || edges().find_map(|[a, b]| edge_removal(mesh, a, b)).map(Self::EdgeRemoval);
+        let edge = |at: usize| TET_EDGES[at].map(|v| tet[v]);
+        let mut shells: [Vec<u32>; 6] = Default::default();
+        for (at, shell) in shells.iter_mut().enumerate() {
+            *shell = mesh.shell(edge(at)[0], edge(at)[1]);
+            if let Some(removal) = edge_removal(mesh, edge(at), shell) {
+                return Some(Self::EdgeRemoval(removal));
+            }
+        }
         let exchange = || (0..4).find_map(|face| face_exchange(mesh, t, face)).map(Self::FaceExchange);
-        let turn = || edges().find_map(|[a, b]| surface_edge_turn(mesh, t, a, b)).map(Self::Turn);
+        // Opposite edges have numbers that sum up to 5.
+        let turn_at = |at: usize| surface_edge_turn(mesh, t, edge(at), [&shells[at], &shells[5 - at]]);
+        let turn = || (0..6).find_map(turn_at).map(Self::Turn);
         let contraction = || one_contraction(mesh, t).map(|(from, to)| Self::Contraction(from, to));
         let split = || {
-            let mut edges = edges().filter(|[a, b]| !unsplit(sorted_edge(*a, *b)));
-            edges.find_map(|[a, b]| edge_split(mesh, a, b, slack, ball)).map(Self::Split)
+            let is_open = |at: &usize| !unsplit(sorted_edge(edge(*at)[0], edge(*at)[1]));
+            let mut split_at = |at: usize| edge_split(mesh, edge(at), &shells[at], slack, ball);
+            (0..6).filter(is_open).find_map(&mut split_at).map(Self::Split)
         };
-        removal().or_else(exchange).or_else(turn).or_else(contraction).or_else(split)
+        exchange().or_else(turn).or_else(contraction).or_else(split)
     }
 
     /// The tets that it changes.
@@ -190,18 +199,20 @@ fn lowest_shape(mesh: &ImprovementMesh, tets: &[u32]) -> f64 {
 /// Makes a nearly flat tet of the scaffold better, so that its vertices can move.
 pub fn loosen_scaffold(mesh: &mut ImprovementMesh, t: u32) {
     let tet = mesh.tets[t as usize];
-    let removal = TET_EDGES.into_iter().find_map(|[a, b]| edge_removal(mesh, tet[a], tet[b]));
+    let removal = TET_EDGES.into_iter().find_map(|[a, b]| {
+        let edge = [tet[a], tet[b]];
+        edge_removal(mesh, edge, &mesh.shell(edge[0], edge[1]))
+    });
     if let Some(Replacement { old, new }) = removal.or_else(|| (0..4).find_map(|face| face_exchange(mesh, t, face))) {
         mesh.replace(&old, &new);
     }
 }
 
-/// The best triangulation of the ring of an inner edge in place of the tets around it, where these are of one label and it gains.
-fn edge_removal(mesh: &ImprovementMesh, a: u32, b: u32) -> Option<Replacement> {
-    let shell = mesh.shell(a, b);
+/// The best triangulation of the ring of an inner edge in place of its shell, where that is of one label and it gains.
+fn edge_removal(mesh: &ImprovementMesh, edge: [u32; 2], shell: &[u32]) -> Option<Replacement> {
     let label = mesh.labels[*shell.first()? as usize];
     let is_within = shell.iter().all(|t| mesh.labels[*t as usize] == label);
-    if is_within { ring_triangulation(mesh, [a, b], shell, label, f64::NEG_INFINITY) } else { None }
+    if is_within { ring_triangulation(mesh, edge, shell, label, f64::NEG_INFINITY) } else { None }
 }
 
 /// The best triangulation of the ring of an edge, all of one label, in place of its shell, where the lowest score gains and is above
@@ -209,15 +220,15 @@ fn edge_removal(mesh: &ImprovementMesh, a: u32, b: u32) -> Option<Replacement> {
 fn ring_triangulation(
     mesh: &ImprovementMesh,
     [a, b]: [u32; 2],
-    shell: Vec<u32>,
+    shell: &[u32],
     label: Label,
     at_least: f64,
 ) -> Option<Replacement> {
     if shell.len() < 3 || shell.len() > LONGEST_RING {
         return None;
     }
-    let ring = mesh.ring(a, b, &shell)?;
-    let needed = (lowest_shape(mesh, &shell) + LEAST_GAIN).max(at_least);
+    let ring = mesh.ring(a, b, shell)?;
+    let needed = (lowest_shape(mesh, shell) + LEAST_GAIN).max(at_least);
     let triangles = best_triangulation(mesh, [a, b], &ring, needed)?;
     let mut new = Vec::with_capacity(2 * triangles.len());
     for [i, j, k] in triangles {
@@ -226,7 +237,7 @@ fn ring_triangulation(
         new.push(([q, p, r, a], label));
     }
     // The new inner faces must not exist elsewhere: an edge between ring vertices outside of the shell would meet them.
-    (!creates_known_edge(mesh, &ring, &new)).then_some(Replacement { old: shell, new })
+    (!creates_known_edge(mesh, &ring, &new)).then_some(Replacement { old: shell.to_vec(), new })
 }
 
 /// Whether a new edge between ring vertices that are not neighbours on the ring is an edge already.
@@ -483,10 +494,15 @@ pub fn sides_of_edge(mesh: &ImprovementMesh, a: u32, b: u32, shell: &[u32]) -> V
     sides
 }
 
-/// The split of an edge at its middle when that, with the new vertex optimised, scores higher.
-pub fn edge_split(mesh: &ImprovementMesh, a: u32, b: u32, slack: f64, ball: &mut Ball) -> Option<Split> {
-    let shell = mesh.shell(a, b);
-    let needed = mesh.lowest(&shell) + LEAST_GAIN;
+/// The split of an edge with the tets of its shell at its middle when that, with the new vertex optimised, scores higher.
+pub fn edge_split(
+    mesh: &ImprovementMesh,
+    [a, b]: [u32; 2],
+    shell: &[u32],
+    slack: f64,
+    ball: &mut Ball,
+) -> Option<Split> {
+    let needed = mesh.lowest(shell) + LEAST_GAIN;
     // The angle of a tet at the edge opposite to the split one is shared by its two halves, wherever the new vertex goes.
     if shell.iter().any(|t| mesh.part(*t) == Part::Mesh && 0.5 * opposite_angle(mesh, *t, a, b) < needed) {
         return None;
@@ -499,30 +515,30 @@ pub fn edge_split(mesh: &ImprovementMesh, a: u32, b: u32, slack: f64, ball: &mut
 fn split_above(
     mesh: &ImprovementMesh,
     [a, b]: [u32; 2],
-    shell: Vec<u32>,
+    shell: &[u32],
     [needed, slack]: [f64; 2],
     ball: &mut Ball,
 ) -> Option<Split> {
     if shell.iter().all(|t| mesh.part(*t) == Part::Scaffold) {
         return None;
     }
-    let sides = sides_of_edge(mesh, a, b, &shell);
+    let sides = sides_of_edge(mesh, a, b, shell);
     let [from, to] = [a, b].map(|v| mesh.points[v as usize]);
     let mut middle = from.midpoint(to);
     if !sides.is_empty() {
         // Only where the surface passes by: a surface vertex off its surface helps nobody.
         middle = mesh.surface.project(middle, &sides, 0.5 * from.distance(to))?;
     }
-    mesh.gather_split(&shell, &[a, b], ball);
+    mesh.gather_split(shell, &[a, b], ball);
     let (place, score) = better_place(mesh, middle, &sides, [ENOUGH, slack], ball);
-    (score > needed).then_some(Split { ends: [a, b], shell, place, sides })
+    (score > needed).then_some(Split { ends: [a, b], shell: shell.to_vec(), place, sides })
 }
 
 /// Splits an edge of the mesh in its middle, on the surface where it lies on one, where the tets of the new vertex score above what is
 /// needed.
 pub fn split_edge(mesh: &mut ImprovementMesh, a: u32, b: u32, needed: f64, slack: f64) -> bool {
     let shell = mesh.shell(a, b);
-    let found = mesh.with_scratch(|mesh, ball| split_above(mesh, [a, b], shell, [needed, slack], ball));
+    let found = mesh.with_scratch(|mesh, ball| split_above(mesh, [a, b], &shell, [needed, slack], ball));
     found.map(|split| split.make(mesh)).is_some()
 }
 
@@ -565,10 +581,19 @@ fn insert(mesh: &mut ImprovementMesh, corners: &[u32], tets: &[u32], place: DVec
     m
 }
 
-/// A tet with two faces on one surface, around the edge a b, goes to the other side.
-fn surface_edge_turn(mesh: &ImprovementMesh, t: u32, a: u32, b: u32) -> Option<Replacement> {
+/// A tet with two faces on one surface, around the edge a b, goes to the other side; with the shells of that edge and of the opposite one.
+fn surface_edge_turn(
+    mesh: &ImprovementMesh,
+    t: u32,
+    [a, b]: [u32; 2],
+    [shell, shell_of_turned]: [&[u32]; 2],
+) -> Option<Replacement> {
     let tet = mesh.tets[t as usize];
     let label = mesh.labels[t as usize];
+    // The edge that comes in place of a b lies inside, or the surface would not stay a surface: most do not.
+    if shell_of_turned.iter().any(|n| mesh.labels[*n as usize] != label) {
+        return None;
+    }
     let [c, d] = {
         let mut rest = tet.into_iter().filter(|v| *v != a && *v != b);
         [rest.next().unwrap_or(a), rest.next().unwrap_or(b)]
@@ -579,11 +604,8 @@ fn surface_edge_turn(mesh: &ImprovementMesh, t: u32, a: u32, b: u32) -> Option<R
     if inside.iter().any(|n| n.is_none_or(|n| mesh.labels[n as usize] != label)) {
         return None;
     }
-    let shell_of_turned = mesh.shell(c, d);
-    let shell = mesh.shell(a, b);
-    // a b is an edge of exactly two surface faces; c d lies inside, so that the surface stays a surface.
-    if shell_of_turned.iter().any(|n| mesh.labels[*n as usize] != label) || mesh.is_surface_edge(c, d, &shell_of_turned)
-    {
+    // a b is an edge of exactly two surface faces.
+    if mesh.is_surface_edge(c, d, shell_of_turned) {
         return None;
     }
     let at = |v: u32| mesh.points[v as usize];

@@ -295,8 +295,12 @@ mod tests {
                 assert_eq!(mesh.with_ball(*v, search), place);
             }
             for [a, b] in &raising.unsplit {
-                assert!(!mesh.shell(*a, *b).is_empty());
-                assert!(mesh.with_scratch(|mesh, ball| edge_split(mesh, *a, *b, effort.slack, ball)).is_none());
+                let shell = mesh.shell(*a, *b);
+                assert!(!shell.is_empty());
+                let split = |mesh: &mut ImprovementMesh, ball: &mut Ball| {
+                    edge_split(mesh, [*a, *b], &shell, effort.slack, ball).is_some()
+                };
+                assert!(!mesh.with_scratch(split));
             }
             context.cancel_token().cancel();
             let cancelled = raising.sweep(&mut mesh, after, &context);
