@@ -48,9 +48,9 @@ const STEPS_BACK: [f64; 3] = [0.5, 0.25, 0.12];
 
 /// Low tets around a place from which on they are a crowd, and how many more may be low after the first sweep of a trial in it. A trial
 /// in a crowd costs ten to twenty times what one elsewhere does. Of 1203 trials in those of an atlas cut out of its image 802 had eleven
-/// or more new low tets after the first sweep; 8 of them ended better than before, 174 of the others. On nine images with crowds the
-/// searches take 17 instead of 28 s with both bounds, and 92 instead of 115 tets stay low. With a crowd of 4 and 6 more it is 14 s and
-/// 114 tets, of 8 and 4 more 22 s and 161.
+/// or more new low tets after the first sweep; 8 of them ended better than before, 174 of the others. Nine images with crowds take 125
+/// instead of 137 s with both bounds, and 92 instead of 115 tets stay low. With a crowd of 4 and 6 more it is 122 s and 114 tets, of 8
+/// and 4 more 131 s and 161.
 const CROWD: usize = 16;
 const MOST_SPOILED: usize = 10;
 
@@ -424,7 +424,7 @@ mod tests {
     fn in_a_crowd_only_what_was_touched_is_mended_as_long_as_there_is_hope() {
         let (points, tets) = helix(300);
         with_tets(points, &tets, &voxel_image(4, |_| 1), |mut mesh| {
-            // All tets from 100 to 200 are low but for the last ones.
+            // The tets of some vertices become low.
             let wanted = mesh.lowest(&[30]) - 0.1;
             let lower = |mesh: &mut ImprovementMesh, vertices: std::ops::Range<usize>| {
                 vertices.step_by(4).for_each(|v| mesh.move_vertex(v as u32, mesh.points[v] * 0.5));
