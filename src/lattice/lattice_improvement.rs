@@ -44,7 +44,7 @@ use crate::lattice::element_score::{Ball, Part, Threshold, tet_fails};
 use crate::lattice::improvement_mesh::{ImprovementMesh, numbers_where};
 use crate::lattice::iterated_search::{IteratedSearch, Perturbations, Reach, Surroundings};
 use crate::lattice::local_transformations::{TransformationCounts, loosen_scaffold};
-use crate::lattice::low_tets::{Effort, Raising, Surfaces, low_among, low_tets};
+use crate::lattice::low_tets::{Effort, InVain, Raising, Surfaces, low_among, low_tets};
 use crate::lattice::planned_batches::{PlannedChange, Touched, change_in_order};
 use crate::lattice::progress_shares;
 use crate::lattice::scaffold::STIFF_SCAFFOLD_ANGLE;
@@ -272,7 +272,8 @@ pub fn improve(
             let chord = if has_vessels { VESSEL_CHORD } else { CHORD };
             summary.counts.chords += split_chords(&mut work, chord * voxel, RELAXATION_BOUNDS[round], context)?;
         }
-        Raising::new(effort, may_transform.then_some(&mut summary.counts)).sweep(&mut work, low, context)?;
+        let counts = may_transform.then_some(&mut summary.counts);
+        Raising::new(effort, InVain::Forgotten, counts).sweep(&mut work, low, context)?;
         let approaches = APPROACH_ROUNDS.contains(&round) || (has_vessels && round == VESSEL_APPROACH_ROUND);
         if may_transform && approaches {
             let effort = Effort { wanted: RELAXATION_BOUNDS[round], surfaces: Surfaces::Stay, slack };
@@ -463,7 +464,7 @@ fn mend_around(
     counts: Option<&mut TransformationCounts>,
     context: &RunContext,
 ) -> Result<()> {
-    let mut raising = Raising::new(*effort, counts);
+    let mut raising = Raising::new(*effort, InVain::Remembered, counts);
     for sweep in 0..SEARCH_SWEEPS {
         if sweep > 0 && around.are_spoiled(work, effort.wanted) {
             break;

@@ -7,8 +7,8 @@
 //! 2. If it is low still, the first local transformation that gains is made ([`Transformation`]).
 //!
 //! One step at a time is planned for many tets at once ([`change_in_order`]); a tet of which a vertex moved has its turn again, for the
-//! vertices that are left. Where low tets crowd they share vertices and edges: what was tried there in vain is known until a tet of theirs
-//! changes.
+//! vertices that are left. Where low tets crowd they share vertices and edges: what was tried there in vain is known, if asked, until a tet
+//! of theirs changes.
 //!
 //! # Source
 //! [KlingnerShewchuk2007] for the schedule.
@@ -18,7 +18,7 @@
 //! in vain were tried again.
 //!
 //! # Cost
-//! 8 to 20 bytes for each vertex of a low tet that finds no better place, 16 to 40 for each edge of one that stays.
+//! Where it is remembered, 8 to 20 bytes for each vertex of a low tet that finds no better place, 16 to 40 for each edge of one that stays.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -86,9 +86,19 @@ pub fn low_among(
     Ok(low)
 }
 
+/// Whether what was tried in vain is remembered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum InVain {
+    /// All is tried: over a whole mesh forgetting what has changed costs more than is saved, half a per cent of all instructions.
+    Forgotten,
+    /// It is not tried again before it changes: for crowds.
+    Remembered,
+}
+
 /// Work on low tets, in one sweep after another.
 pub struct Raising<'a> {
     effort: Effort,
+    in_vain: InVain,
     /// Transformations made; without it elements stay the same.
     counts: Option<&'a mut TransformationCounts>,
     /// Vertices that were searched for a better place in vain since any of their tets last changed.
@@ -125,8 +135,8 @@ pub struct Found {
 
 impl<'a> Raising<'a> {
     /// Without `counts` elements stay the same.
-    pub fn new(effort: Effort, counts: Option<&'a mut TransformationCounts>) -> Self {
-        Self { effort, counts, unmoved: FxHashSet::default(), unsplit: FxHashSet::default() }
+    pub fn new(effort: Effort, in_vain: InVain, counts: Option<&'a mut TransformationCounts>) -> Self {
+        Self { effort, in_vain, counts, unmoved: FxHashSet::default(), unsplit: FxHashSet::default() }
     }
 
     /// Raises tets of low score. Between sweeps nobody else may change the mesh.
@@ -205,9 +215,11 @@ impl PlannedChange for Raising<'_> {
         touched: &mut Touched,
     ) -> Option<LowTet> {
         let tet = mesh.tets[low.tet as usize];
-        self.unmoved.extend(tet.into_iter().zip(found.unmoved).filter(|(_, unmoved)| *unmoved).map(|(v, _)| v));
-        if found.is_stuck {
-            self.unsplit.extend(sorted_edges(tet));
+        if self.in_vain == InVain::Remembered {
+            self.unmoved.extend(tet.into_iter().zip(found.unmoved).filter(|(_, unmoved)| *unmoved).map(|(v, _)| v));
+            if found.is_stuck {
+                self.unsplit.extend(sorted_edges(tet));
+            }
         }
         match found.step? {
             Step::Move(corner, place) => {
@@ -280,7 +292,7 @@ mod tests {
             let effort = Effort { wanted: WANTED, surfaces: Surfaces::Stay, slack: 0.1 };
             let mut counts = TransformationCounts::default();
             let of_run = may_transform.then_some(&mut counts);
-            let mut raising = Raising::new(effort, of_run);
+            let mut raising = Raising::new(effort, InVain::Remembered, of_run);
             raising.sweep(&mut mesh, before, &context).unwrap();
             let after = low_tets(&mesh, WANTED, &context).unwrap();
             assert!(after.len() < count && after[0].0 >= lowest, "{} {count}", after.len());
