@@ -28,7 +28,7 @@ use crate::context::CancelToken;
 use crate::error::Result;
 use crate::geometry::predicates::orient3d;
 use crate::index::{Label, TetFace, TetId, VertexId, each_once};
-use crate::mesh::numbering::{TET_EDGES, TET_FACES};
+use crate::mesh::numbering::{TET_EDGES, TET_FACES, sorted_edge};
 use crate::mesh::tet_complex::TetComplex;
 use crate::mesh::tet_store::TetStore;
 use crate::mesh::topology::{collect_ball, find_edge, find_face};
@@ -88,7 +88,7 @@ type Undo = (Vec<[VertexId; 4]>, Vec<TetId>);
 /// The key of an edge.
 #[inline]
 pub fn edge_key(a: VertexId, b: VertexId) -> EdgeKey {
-    if a < b { [a, b] } else { [b, a] }
+    sorted_edge(a, b)
 }
 
 /// The key of a face.
