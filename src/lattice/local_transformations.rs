@@ -440,7 +440,7 @@ fn surface_contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32, shell
 fn cuts_off(
     mesh: &ImprovementMesh,
     before: impl Iterator<Item = LabelledFace> + Clone,
-    after: impl Iterator<Item = LabelledFace> + Clone,
+    after: impl Iterator<Item = LabelledFace>,
 ) -> bool {
     let limit = LARGEST_CUT * mesh.surface.spacing().min_element();
     // What is there before and after is no reason.
