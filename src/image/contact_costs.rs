@@ -166,9 +166,7 @@ impl<'a> ContactCosts<'a> {
             voxels: changes.len(),
         };
         for (label, [closed, open]) in self.euler_changes(changes) {
-            let [low, high] = self.allowed[label.index()];
-            let now = self.changed_by[label.index()] + closed;
-            cost.out_of_range += (low - now).max(now - high).max(0);
+            cost.out_of_range += beyond(self.allowed[label.index()], self.changed_by[label.index()] + closed);
             cost.euler += closed.abs();
             cost.unexplained += closed.abs().min(open.abs());
         }
@@ -188,6 +186,21 @@ impl<'a> ContactCosts<'a> {
             (first + now / 8, allowed.map(|change| first + change / 8))
         };
         self.first.iter().zip(changes).map(of_label)
+    }
+
+    /// How far the Euler numbers of some labels are out of their ranges, in eighths.
+    pub fn out_of_range(&self, labels: &[Label]) -> i64 {
+        let of_label = |l: &Label| beyond(self.allowed[l.index()], self.changed_by[l.index()]);
+        labels.iter().filter(|l| !l.is_background()).map(of_label).sum()
+    }
+
+    /// The changed voxels that have a label or are beside one that has, in their order.
+    pub fn changed_near(&self, label: Label) -> Vec<[usize; 3]> {
+        let has = |at: IVec3| self.image.at_or_background(at) == label;
+        let mut voxels: Vec<usize> = self.changed.keys().copied().collect();
+        voxels.sort_unstable();
+        let voxels = voxels.into_iter().map(|voxel| self.image.grid().voxel_at(voxel));
+        voxels.filter(|voxel| places_around(place(*voxel)).any(has)).collect()
     }
 
     /// The 26-connected pieces of the image at first, by label.
@@ -280,6 +293,11 @@ impl<'a> ContactCosts<'a> {
         }
         sums
     }
+}
+
+/// How far a number is out of a range.
+fn beyond([low, high]: [i64; 2], number: i64) -> i64 {
+    (low - number).max(number - high).max(0)
 }
 
 /// A voxel's place.

@@ -43,6 +43,7 @@ use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
 use crate::lattice::image_contacts::ImageContacts;
 use crate::lattice::interface_carving::{Carved, Extent, FillingRules, Pinches, carve, choose_fillings};
 use crate::lattice::interface_topology::InterfaceTopology;
+use crate::lattice::kept_components::KeptComponents;
 use crate::lattice::last_repair::LastRepair;
 use crate::lattice::mesh_regions::{
     fill_unseen_regions, joinable_regions, number_by_image, regions_inside, regions_of, regions_with_background,
@@ -729,7 +730,9 @@ impl Rounds<'_> {
                 Some(known) => known,
                 None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
             };
-            let rules = FillingRules { regions: &joinable, euler: Some(euler.insert(known)), are_checked, extent };
+            let kept = KeptComponents::new(&self.components, &found);
+            let rules =
+                FillingRules { regions: &joinable, euler: Some(euler.insert(known)), are_checked, extent, kept };
             let fillings = choose_fillings(lattice, &elements.labels, &topology, &pinches, rules, context)?;
             drop(topology);
             let Carved { vertices, numbers } = carve(lattice, elements, &fillings, context)?;

@@ -11,9 +11,9 @@
 //!    first of all one that leaves them within reach ([`super::euler_ranges`]). Where none does, or some vertices lie far on the
 //!    other side of it, the vertices are filled one by one, as far as that keeps them. Sides do not count where Euler numbers are
 //!    checked afterwards: these are what matters then.
-//! 3. Before all that, no label is to touch elements that a wall keeps apart from it ([`super::image_contacts`]). Vertices that no label
-//!    fills without that stay pinched: a hole in a wall is worse. Where Euler numbers are checked afterwards these come first, and
-//!    nothing stays pinched.
+//! 3. Before all that, no component of the image is to lose its last voxel ([`super::kept_components`]), and no label is to touch
+//!    elements that a wall keeps apart from it ([`super::image_contacts`]). Vertices that no label fills without opening a wall stay
+//!    pinched: a hole in it is worse. Where Euler numbers are checked afterwards these come first, and nothing stays pinched.
 //! 4. The corners of a breach of a wall count as pinched; the label that opens none is the wall's.
 //!
 //! ```text
@@ -52,6 +52,7 @@ use crate::index::Label;
 use crate::lattice::euler_ranges::{EulerNumbers, EulerRanges, changes_by_filling};
 use crate::lattice::image_contacts::ImageContacts;
 use crate::lattice::interface_topology::{InterfaceTopology, labels_of};
+use crate::lattice::kept_components::{KeptComponents, Taken};
 use crate::lattice::red_green::{CHANGED, Elements, RedGreenLattice};
 
 /// Groups of pinched vertices between two looks at whether the run is cancelled.
@@ -93,6 +94,8 @@ pub struct FillingRules<'a> {
     pub are_checked: bool,
     /// How much of a group is filled.
     pub extent: Extent,
+    /// What components of the image have of the mesh; that follows what is chosen too.
+    pub kept: KeptComponents<'a>,
 }
 
 /// What carving has done.
@@ -187,7 +190,7 @@ pub fn choose_fillings(
     for (at, group) in groups_of(topology, &pinches.vertices).into_iter().enumerate() {
         context.check_every(GROUPS_PER_CHECK, at)?;
         let Some(filled) = choice.filled(&group) else { continue };
-        let fits = filled.off <= 0 && filled.misplaced == 0 && !filled.opens;
+        let fits = filled.off <= 0 && filled.misplaced == 0 && filled.lost == 0 && !filled.opens;
         let may_leave_some = !fits && choice.may_leave_some(&topology.elements_around(&group));
         if fits || !(may_leave_some || filled.opens) {
             choice.take(filled, &mut fillings);
@@ -199,7 +202,7 @@ pub fn choose_fillings(
             if topology.vertices_of(topology.ball(*v)).iter().any(|near| fillings.has(*near)) {
                 continue;
             }
-            let fits = |filled: &Filled| (filled.off <= 0 || !may_leave_some) && !filled.opens;
+            let fits = |filled: &Filled| (filled.off <= 0 && filled.lost == 0 || !may_leave_some) && !filled.opens;
             if let Some(filled) = choice.filled(&[*v]).filter(fits) {
                 choice.take(filled, &mut fillings);
             }
@@ -214,6 +217,9 @@ struct Filled {
     label: Label,
     /// Whether a wall keeps elements around apart from the label, where that counts.
     opens: bool,
+    /// The voxels in what is filled, and how many components of the image have none left then.
+    taken: Vec<Taken>,
+    lost: usize,
     /// What the Euler numbers change by, and by how much farther from their ranges they are then.
     changes: Vec<(Label, EulerNumbers)>,
     off: i64,
@@ -223,6 +229,8 @@ struct Filled {
 
 /// What speaks against a label for a group of vertices.
 struct Objections {
+    /// How many components of the image would lose their last voxels.
+    lost: usize,
     /// How many elements a wall keeps apart from it, and how far Euler numbers would be out of their ranges; the other way round
     /// where these are checked.
     weightiest: [i64; 2],
@@ -254,26 +262,31 @@ impl Choice<'_> {
         let fillings_of =
             |group: &[u32]| rules.euler.as_ref().map(|_| topology.fillings_of(group, labels)).unwrap_or_default();
         let of_group = fillings_of(group);
+        let elements_around = || around.iter().map(|e| (&topology.tets[*e as usize], labels[*e as usize]));
+        let taken = rules.kept.taken_of(elements_around(), group, self.lattice);
         let least = if rules.are_checked { i64::MIN } else { 0 };
         let off = |changes: &[_]| rules.euler.as_ref().map_or(0, |euler| euler.distance_after(changes).max(least));
         let objections = |label: Label| {
             let opened = contacts.walled_off(&around, labels, label) as i64;
             let off = off(&changes_by_filling(&of_group, label));
             let weightiest = if rules.are_checked { [off, opened] } else { [opened, off] };
-            Objections { weightiest, misplaced: misplaced(group, label) }
+            Objections { lost: rules.kept.lost_to(label, &taken), weightiest, misplaced: misplaced(group, label) }
         };
         let label = label_for(topology, group, &around, labels, rules.regions, objections)?;
         let with_label: Vec<u32> = group.iter().copied().filter(|v| topology.has_label(*v, label, labels)).collect();
         let has_some = !with_label.is_empty() && with_label.len() < group.len();
-        let (group, changes) = match has_some && self.may_leave_some(&around) {
+        let (group, changes, taken) = match has_some && self.may_leave_some(&around) {
             true => {
                 let changes = changes_by_filling(&fillings_of(&with_label), label);
-                (with_label, changes)
+                let taken = rules.kept.taken_of(elements_around(), &with_label, self.lattice);
+                (with_label, changes, taken)
             }
-            false => (group.to_vec(), changes_by_filling(&of_group, label)),
+            false => (group.to_vec(), changes_by_filling(&of_group, label), taken),
         };
+        let lost = rules.kept.lost_to(label, &taken);
         let opens = !rules.are_checked && contacts.walled_off(&topology.elements_around(&group), labels, label) > 0;
-        Some(Filled { opens, off: off(&changes), misplaced: misplaced(&group, label), group, label, changes })
+        let misplaced = misplaced(&group, label);
+        Some(Filled { opens, off: off(&changes), misplaced, lost, group, label, changes, taken })
     }
 
     /// Whether a vertex lies beyond the boundary of a label in the image.
@@ -296,6 +309,7 @@ impl Choice<'_> {
         if let Some(euler) = &mut self.rules.euler {
             euler.add(&filled.changes);
         }
+        self.rules.kept.take(filled.label, &filled.taken);
         filled.group.iter().for_each(|v| fillings.label_of[*v as usize] = Some(filled.label));
     }
 }
@@ -367,8 +381,8 @@ fn label_for(
     let allowed = candidates.into_iter().filter(|l| !joins_too_much(*l));
     allowed.max_by_key(|l| {
         let is_tissue = !l.is_background();
-        let Objections { weightiest, misplaced } = objections(*l);
-        let against = (Reverse(weightiest), Reverse(strangers(*l)), Reverse(misplaced));
+        let Objections { lost, weightiest, misplaced } = objections(*l);
+        let against = (Reverse(lost), Reverse(weightiest), Reverse(strangers(*l)), Reverse(misplaced));
         (against, is_tissue, score(*l), Reverse(*l))
     })
 }
@@ -468,6 +482,8 @@ fn oriented(lattice: &RedGreenLattice, tet: [u32; 4]) -> [u32; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::image::connected_components::{Components, Connectivity, Members};
+    use crate::image::label_image::LabelImage;
     use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
     use glam::DVec3;
 
@@ -478,6 +494,10 @@ mod tests {
         context: &RunContext,
     ) -> InterfaceTopology<'a> {
         InterfaceTopology::new(&elements.tets, neighbors, lattice.vertices.positions.len(), context).unwrap()
+    }
+
+    fn components_of(image: &LabelImage, context: &RunContext) -> Components {
+        Components::new(image, Connectivity::Vertex, Members::All, context).unwrap()
     }
 
     /// Numbers with no order to be seen, of points.
@@ -507,7 +527,7 @@ mod tests {
         let topology = InterfaceTopology::new(&tets, &neighbors, 63, &context).unwrap();
         let regions = Regions { of_element: labels.iter().map(|l| u32::from(l.0)).collect(), surplus: vec![0; 4] };
         let chosen = |group: &[u32]| {
-            let none = |_| Objections { weightiest: [0; 2], misplaced: 0 };
+            let none = |_| Objections { lost: 0, weightiest: [0; 2], misplaced: 0 };
             label_for(&topology, group, &topology.elements_around(group), &labels, &regions, none)
         };
         let chain: Vec<u32> = (1..6).map(|i| number(i, 1, 1)).collect();
@@ -546,7 +566,9 @@ mod tests {
                 };
                 let near = has(1).max(has(2));
                 let pinches = Pinches { vertices: line.clone() };
-                let rules = FillingRules { regions: &regions, euler: None, are_checked: false, extent };
+                let components = components_of(&image, context);
+                let kept = KeptComponents::new(&components, &[]);
+                let rules = FillingRules { regions: &regions, euler: None, are_checked: false, extent, kept };
                 let fillings =
                     choose_fillings(&lattice, &elements.labels, &topology, &pinches, rules, context).unwrap();
                 drop(topology);
@@ -585,8 +607,14 @@ mod tests {
             let counts = [breached.len(), first.vertices.len(), lattice.vertices.positions.len()];
             assert!(counts[0] > 0 && counts[1] > counts[0] && counts[2] > counts[1], "{counts:?}");
             let regions = Regions { of_element: vec![0; elements.tets.len()], surplus: vec![9; 3] };
-            let rules =
-                || FillingRules { regions: &regions, euler: None, are_checked: false, extent: Extent::NearLabel };
+            let components = components_of(&image, context);
+            let rules = || FillingRules {
+                regions: &regions,
+                euler: None,
+                are_checked: false,
+                extent: Extent::NearLabel,
+                kept: KeptComponents::new(&components, &[]),
+            };
             let fillings = choose_fillings(&lattice, &elements.labels, &topology, &first, rules(), context).unwrap();
             drop(topology);
             let carved = carve(&mut lattice, &mut elements, &fillings, context).unwrap();
@@ -676,7 +704,9 @@ mod tests {
                 let pinches = Pinches::among(&lattice, &elements.labels, &topology, [None; 2], context).unwrap();
                 let regions = Regions { of_element: vec![0; elements.tets.len()], surplus: vec![0; 2] };
                 let euler = keeps.then_some(&mut kept);
-                let rules = FillingRules { regions: &regions, euler, are_checked: false, extent: Extent::NearLabel };
+                let components = components_of(&image, context);
+                let (kept, extent) = (KeptComponents::new(&components, &[]), Extent::NearLabel);
+                let rules = FillingRules { regions: &regions, euler, are_checked: false, extent, kept };
                 let fillings =
                     choose_fillings(&lattice, &elements.labels, &topology, &pinches, rules, context).unwrap();
                 let filled = |group: &Vec<u32>| group.iter().filter(|v| fillings.has(**v)).count();
@@ -720,7 +750,9 @@ mod tests {
             let line: Vec<u32> = (0..topology.vertex_count() as u32).filter(|v| is_at_rod(v) && has_both(v)).collect();
             assert_eq!(groups_of(&topology, &line).len(), 1);
             let regions = Regions { of_element: vec![0; elements.tets.len()], surplus: vec![0; 3] };
-            let rules = FillingRules { regions: &regions, euler: None, are_checked: false, extent: Extent::NearLabel };
+            let components = components_of(&image, context);
+            let (kept, extent) = (KeptComponents::new(&components, &[]), Extent::NearLabel);
+            let rules = FillingRules { regions: &regions, euler: None, are_checked: false, extent, kept };
             let pinches = Pinches { vertices: line.clone() };
             let fillings = choose_fillings(&lattice, &elements.labels, &topology, &pinches, rules, context).unwrap();
             let mut filled = [0; 3];

@@ -44,6 +44,7 @@ pub mod improvement_mesh;
 pub mod interface_carving;
 pub mod interface_topology;
 pub mod iterated_search;
+pub mod kept_components;
 pub mod last_repair;
 pub mod lattice_improvement;
 pub mod local_transformations;

@@ -128,8 +128,7 @@ impl Deficit {
         }
         let lacking = counts.iter().zip(&targets.fidelity).map(|(c, f)| c.image > 0 && c.fidelity() < *f).collect();
         let lost = components.components().iter().zip(&missed_of_component).enumerate();
-        let counts_as = |c: &Component| !c.label.is_background() || c.voxels >= SMALLEST_CAVITY;
-        let lost = lost.filter(|(_, (c, missed))| c.voxels == **missed && counts_as(c));
+        let lost = lost.filter(|(_, (c, missed))| c.voxels == **missed && is_wanted(c));
         let lost = lost.map(|(i, _)| i as u32).collect();
         Self { counts, lacking, lost }
     }
@@ -144,6 +143,11 @@ impl Deficit {
     pub fn is_empty(&self) -> bool {
         self.lost.is_empty() && !self.lacking.iter().any(|l| *l)
     }
+}
+
+/// Whether a component must have an element.
+pub fn is_wanted(component: &Component) -> bool {
+    !component.label.is_background() || component.voxels >= SMALLEST_CAVITY
 }
 
 /// Deepest level that refinement uses in this image.
