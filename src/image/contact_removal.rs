@@ -41,7 +41,7 @@ use crate::index::{Label, each_once};
 /// Changes per contact that may lower a priority: most contacts need one change; chains of them two or three.
 const BUDGET: u64 = 8;
 
-/// Changed voxels at most around which others are tried where a label's Euler number is out of its range: each takes 4 ms. One of 384
+/// Changed voxels at most around which others are tried where a label's Euler number is out of its range: each takes 4 ms. One of 192
 /// labels of an atlas is out of its range, and in again after 14; of salt and pepper one of two after 21.
 const MOST_LOOKS: usize = 2048;
 
@@ -71,13 +71,22 @@ pub fn remove_contacts(image: &mut LabelImage, seed: u64, context: &RunContext) 
     let mut work = Contacts::new(image, seed, context)?;
     work.budget = BUDGET * cubes.len() as u64;
     work.remove_all(cubes, context)?;
-    work.settle(context)?;
+    let fewest = work.costs.piece_counts();
+    let ranges = || fewest.iter().zip(&most).map(|(fewest, most)| [*fewest, *most]);
+    let pieces = |work: &Contacts| -> Result<Vec<OutOfRange>> {
+        let now = component_counts(work.costs.image, Connectivity::Face, context)?;
+        Ok(OutOfRange::among(now.into_iter().zip(ranges())))
+    };
+    let undo = work.settle(context)?;
+    let mut off = pieces(&work)?;
+    if !undo.is_empty() && !off.is_empty() {
+        // What was parted for the sake of an Euler number was one in the image: a piece too many is worse.
+        undo.iter().rev().for_each(|changes| work.costs.make(changes));
+        work.voxels -= undo.iter().map(|changes| changes.len() as u64).sum::<u64>();
+        off = pieces(&work)?;
+    }
     let Contacts { costs, voxels, opened, .. } = work;
-    let (euler, fewest) = (OutOfRange::among(costs.euler_numbers()), costs.piece_counts());
-    let now = component_counts(image, Connectivity::Face, context)?;
-    let ranges = fewest.into_iter().zip(most).map(|(fewest, most)| [fewest, most]);
-    let pieces = OutOfRange::among(now.into_iter().zip(ranges));
-    Ok(RemovedContacts { voxels, opened, euler, pieces })
+    Ok(RemovedContacts { voxels, opened, euler: OutOfRange::among(costs.euler_numbers()), pieces: off })
 }
 
 struct Contacts<'a> {
@@ -124,9 +133,10 @@ impl<'a> Contacts<'a> {
     }
 
     /// Brings Euler numbers that are out of their ranges nearer to these, where another voxel or two beside the changed ones do:
-    /// a contact that was joined can be parted, to make up for one elsewhere that could only be parted or joined.
-    fn settle(&mut self, context: &RunContext) -> Result<()> {
-        let mut looks = 0;
+    /// a contact that was joined can be parted, to make up for one elsewhere that could only be parted or joined. Returns what undoes
+    /// each step, in the order of the steps.
+    fn settle(&mut self, context: &RunContext) -> Result<Vec<Vec<Change>>> {
+        let (mut looks, mut undo) = (0, Vec::new());
         for OutOfRange { label, .. } in OutOfRange::among(self.costs.euler_numbers()) {
             for voxel in self.costs.changed_near(label) {
                 context.check()?;
@@ -142,11 +152,13 @@ impl<'a> Contacts<'a> {
                 });
                 if let Some(changes) = better {
                     self.voxels += changes.len() as u64;
+                    let image = &*self.costs.image;
+                    undo.push(changes.iter().map(|(at, _)| (*at, image.at(at[0], at[1], at[2]))).collect());
                     self.costs.make(&changes);
                 }
             }
         }
-        Ok(())
+        Ok(undo)
     }
 
     /// The cheapest of the candidates that bring Euler numbers nearer to their ranges and make no contact, and take, join and open
@@ -429,19 +441,21 @@ mod tests {
         let context = context();
         let mut work = Contacts::new(&mut labels, 1, &context).unwrap();
         work.costs.make(&[([4, 3, 3], Label(1))]);
-        work.settle(&context).unwrap();
+        assert!(work.settle(&context).unwrap().is_empty());
         assert_eq!(work.costs.euler_numbers().nth(1), Some((2, [2, 3])), "nothing to be done");
-        assert_eq!(work.voxels, 0);
         work.costs.make(&[([9, 9, 8], Label(0))]);
         let off = |work: &Contacts| OutOfRange::among(work.costs.euler_numbers());
         assert_eq!(off(&work).len(), 1);
         let cancelled = RunContext::with_threads(1).unwrap();
         cancelled.cancel_token().cancel();
         assert!(matches!(work.settle(&cancelled), Err(crate::Error::Cancelled)));
-        work.settle(&context).unwrap();
-        assert_eq!((off(&work), work.voxels > 0), (Vec::new(), true));
+        let undo = work.settle(&context).unwrap();
+        assert_eq!((off(&work), work.voxels), (Vec::new(), undo.iter().map(|changes| changes.len() as u64).sum()));
         assert!(cubes_with_contacts(work.costs.image, &context).unwrap().is_empty());
         assert_eq!(component_counts(work.costs.image, Connectivity::Face, &context).unwrap()[1], 2);
+        undo.iter().rev().for_each(|changes| work.costs.make(changes));
+        assert_eq!(off(&work).len(), 1);
+        assert_eq!(component_counts(work.costs.image, Connectivity::Face, &context).unwrap()[1], 1);
     }
 
     #[test]
