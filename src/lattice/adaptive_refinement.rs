@@ -573,9 +573,11 @@ impl Rounds<'_> {
             let has_settled = limit.rounds_left + PINCH_ROUNDS <= TOPOLOGY_ROUNDS;
             // Carving chooses the numbers of the image where they are within reach.
             if marked.contains(&true) || !others.is_empty() || !has_settled {
+                let components = &self.components;
                 let concerned = self.report.timed("topology", || -> Result<Vec<u32>> {
                     let pinched = topology.elements_around(&topology.pinched(&elements.labels, context)?);
-                    Ok([pinched, elements_at_differences(lattice, elements, neighbors, &known, context)?].concat())
+                    let differing = elements_at_differences(lattice, elements, neighbors, &known, components, context)?;
+                    Ok([pinched, differing].concat())
                 })?;
                 self.mark_refinable(lattice, elements, &concerned, limit.finest, &mut marked);
             }

@@ -6,7 +6,8 @@
 //! 2. Voxels in which they differ join or leave the body as long as they are simple
 //!    ([`simple_voxels`](crate::image::simple_voxels)): the body becomes more like its goal, its topology stays.
 //! 3. What still differs then is where the topologies do. Where nothing does the difference lies between voxel centres: the
-//!    voxels that are not simple in the image are the places then: bridges, walls, tunnels and gaps one voxel wide.
+//!    voxels that are not simple in the image are the places then: bridges, walls, tunnels and gaps one voxel wide; and those of
+//!    small components in or beside the body: the mesh closes it above a pocket that another label fills.
 //!
 //! ```text
 //!     image        goal: voxels in elements     what is left
@@ -32,6 +33,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::context::RunContext;
 use crate::error::Result;
+use crate::image::connected_components::Components;
 use crate::image::grid::places_around;
 use crate::image::label_image::LabelImage;
 use crate::image::simple_voxels::{Block, SimpleVoxels, WHOLE_BLOCK};
@@ -41,6 +43,10 @@ use crate::lattice::face_adjacency::with_neighbors;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::region_gaps::STEPS;
 use crate::lattice::voxel_fidelity::{for_each_foreign_voxel, for_each_voxel};
+
+/// Voxels of a component at most that counts as small: a block of two along each axis. On a cortex of 48 regions in slices of 4 mm one
+/// label instead of four has another Euler number than the image with these, with 1.03 times the elements.
+const FEW_VOXELS: u64 = 8;
 
 /// Elements per parallel work item.
 const CHUNK: usize = 1024;
@@ -57,6 +63,7 @@ pub fn elements_at_differences(
     elements: &Elements,
     neighbors: &[[u32; 4]],
     euler: &EulerRanges,
+    components: &Components,
     context: &RunContext,
 ) -> Result<Vec<u32>> {
     let labels = euler.differing();
@@ -76,7 +83,7 @@ pub fn elements_at_differences(
         let body = Body { image, label: *label };
         let differing = body.what_stays(concerned.map(|(at, _)| *at).collect(), context)?;
         let is_unseen = differing.is_empty() && euler.out_of_reach(*label).is_some();
-        if is_unseen { body.fragile_voxels(context) } else { Ok(differing) }
+        if is_unseen { body.fragile_voxels(components, context) } else { Ok(differing) }
     };
     let of_labels: Vec<Vec<IVec3>> = labels.par_iter().map(of_label).collect::<Result<_>>()?;
     let sought: FxHashSet<IVec3> = of_labels.into_iter().flatten().collect();
@@ -136,15 +143,19 @@ impl Body<'_> {
         Ok(differing)
     }
 
-    /// Voxels in and beside the body that are not simple.
-    fn fragile_voxels(&self, context: &RunContext) -> Result<Vec<IVec3>> {
+    /// Voxels in and beside the body that are not simple, or of a small component.
+    fn fragile_voxels(&self, components: &Components, context: &RunContext) -> Result<Vec<IVec3>> {
         let simple = SimpleVoxels::default();
         let [ni, nj, nk] = self.image.grid().size().map(|s| s as i32);
         // Beside the body means through a face: a voxel that touches it at a corner only is never simple, and of no bridge.
         let is_part = |at: IVec3| self.has(at) || STEPS.iter().any(|step| self.has(at + step));
+        let is_of_few = |at: &IVec3| {
+            let [i, j, k] = at.to_array().map(|x| x as usize);
+            components.component_at(i, j, k).is_some_and(|c| components.components()[c as usize].voxels <= FEW_VOXELS)
+        };
         let is_fragile = |at: &IVec3| {
             let block = block_around(*at, |near| self.has(near));
-            block != 0 && block != WHOLE_BLOCK && is_part(*at) && !simple.is_simple(block)
+            block != 0 && block != WHOLE_BLOCK && is_part(*at) && (!simple.is_simple(block) || is_of_few(at))
         };
         let row = |row: i32| (0..ni).map(move |i| IVec3::new(i, row % nj, row / nj)).filter(is_fragile);
         let fragile = context.until_cancelled(0..nj * nk).flat_map_iter(row).collect();
@@ -160,7 +171,12 @@ fn block_around(at: IVec3, is_set: impl Fn(IVec3) -> bool) -> Block {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::image::connected_components::{Connectivity, Members};
     use crate::lattice::test_images::voxel_image;
+
+    fn components_of(image: &LabelImage, context: &RunContext) -> Components {
+        Components::new(image, Connectivity::Vertex, Members::All, context).unwrap()
+    }
 
     #[test]
     fn what_stays_is_the_bridge_that_the_goal_has_lost() {
@@ -179,13 +195,14 @@ mod tests {
         let layer = all().filter(|at| body.has(*at) && at.x == 0).collect();
         assert!(body.what_stays(layer, &context).unwrap().is_empty());
         // The bridge is what is fragile, with the voxels that it ends at.
-        let fragile = body.fragile_voxels(&context).unwrap();
+        let components = components_of(&image, &context);
+        let fragile = body.fragile_voxels(&components, &context).unwrap();
         let is_of_bridge = |at: &&IVec3| is_bridge(at.with_x(at.x.clamp(4, 7)).as_dvec3()) && (3..9).contains(&at.x);
         assert!(fragile.iter().filter(|at| body.has(**at)).all(|at| is_of_bridge(&at)), "{fragile:?}");
         assert!((4..8).all(|x| fragile.contains(&IVec3::new(x, 5, 5))), "{fragile:?}");
         context.cancel_token().cancel();
         assert!(matches!(body.what_stays(lost, &context), Err(crate::Error::Cancelled)));
-        assert!(matches!(body.fragile_voxels(&context), Err(crate::Error::Cancelled)));
+        assert!(matches!(body.fragile_voxels(&components, &context), Err(crate::Error::Cancelled)));
     }
 
     #[test]
@@ -194,8 +211,24 @@ mod tests {
         let is_wall = |p: glam::DVec3| p.z == 5.0 && (2.0..10.0).contains(&p.x) && (2.0..10.0).contains(&p.y);
         let image = voxel_image(12, |p| u16::from(is_wall(p)));
         let body = Body { image: &image, label: Label(1) };
-        let fragile = body.fragile_voxels(&RunContext::with_threads(1).unwrap()).unwrap();
+        let context = RunContext::with_threads(1).unwrap();
+        let fragile = body.fragile_voxels(&components_of(&image, &context), &context).unwrap();
         let inner: Vec<bool> = fragile.iter().filter(|at| body.has(**at)).map(|at| is_inner(at.as_dvec3())).collect();
         assert_eq!(inner, [true; 36]);
+    }
+
+    #[test]
+    fn a_pocket_that_few_voxels_fill_is_fragile() {
+        // Label 1 below; label 2 fills a pocket in its flat top.
+        let fragile = |pocket: f64| {
+            let in_pocket = |p: glam::DVec3| p.z == 5.0 && p.y == 5.0 && (2.0..2.0 + pocket).contains(&p.x);
+            let image = voxel_image(14, |p| if p.z > 5.0 { 0 } else { 1 + u16::from(in_pocket(p)) });
+            let context = RunContext::with_threads(1).unwrap();
+            let body = Body { image: &image, label: Label(1) };
+            body.fragile_voxels(&components_of(&image, &context), &context).unwrap()
+        };
+        assert_eq!(fragile(1.0), [IVec3::new(2, 5, 5)]);
+        assert!((2..10).all(|x| fragile(8.0).contains(&IVec3::new(x, 5, 5))));
+        assert!(!fragile(9.0).contains(&IVec3::new(2, 5, 5)), "its end is simple");
     }
 }
