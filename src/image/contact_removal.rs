@@ -42,7 +42,7 @@ use crate::index::{Label, each_once};
 const BUDGET: u64 = 8;
 
 /// Changed voxels at most around which others are tried where a label's Euler number is out of its range: each takes 4 ms. One of 192
-/// labels of an atlas is out of its range, and in again after 14; of salt and pepper one of two after 21.
+/// labels of an atlas is out of its range, and in again after 14; one of two of salt and pepper after 21.
 const MOST_LOOKS: usize = 2048;
 
 /// Cubes between two looks at whether the run is cancelled: each tries all candidates for a contact of it.

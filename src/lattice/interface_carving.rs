@@ -482,8 +482,6 @@ fn oriented(lattice: &RedGreenLattice, tet: [u32; 4]) -> [u32; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::image::connected_components::{Components, Connectivity, Members};
-    use crate::image::label_image::LabelImage;
     use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
     use glam::DVec3;
 
@@ -494,10 +492,6 @@ mod tests {
         context: &RunContext,
     ) -> InterfaceTopology<'a> {
         InterfaceTopology::new(&elements.tets, neighbors, lattice.vertices.positions.len(), context).unwrap()
-    }
-
-    fn components_of(image: &LabelImage, context: &RunContext) -> Components {
-        Components::new(image, Connectivity::Vertex, Members::All, context).unwrap()
     }
 
     /// Numbers with no order to be seen, of points.
@@ -533,11 +527,19 @@ mod tests {
         let chain: Vec<u32> = (1..6).map(|i| number(i, 1, 1)).collect();
         assert_eq!(chosen(&chain), Some(Label(2)));
         assert_eq!(chosen(&chain[..1]), Some(Label(1)), "where all labels are near, the first");
+        // A component's last voxel counts before all else.
+        let objections = |label: Label| Objections {
+            lost: usize::from(label == Label(2)),
+            weightiest: [i64::from(label != Label(2)); 2],
+            misplaced: 0,
+        };
+        let around = topology.elements_around(&chain);
+        assert_eq!(label_for(&topology, &chain, &around, &labels, &regions, objections), Some(Label(3)));
     }
 
     #[test]
     fn a_label_is_not_carried_far_from_itself_while_other_rounds_are_left() {
-        use crate::lattice::test_images::{voxel_image, with_lattice};
+        use crate::lattice::test_images::{components_of, voxel_image, with_lattice};
         // The boundary runs through a vertex: that is beyond it for neither label.
         let image = voxel_image(16, |p| if p.x < 8.0 { 1 } else { 2 });
         let carved = |extent: Extent| {
@@ -588,7 +590,7 @@ mod tests {
 
     #[test]
     fn what_is_to_be_carved_next_is_where_carving_was() {
-        use crate::lattice::test_images::{voxel_image, with_lattice};
+        use crate::lattice::test_images::{components_of, voxel_image, with_lattice};
         // Scattered voxels on one side, an oblique wall of one voxel on the other.
         let across = |p: DVec3| p.dot(DVec3::new(0.8, 0.0, 0.6)) - 12.0;
         let wall = |p: DVec3| if across(p) < 0.0 { 1 } else { 2 * u16::from(across(p) < 1.0) };
@@ -685,7 +687,7 @@ mod tests {
 
     #[test]
     fn fillings_keep_euler_numbers_within_reach_also_where_a_whole_chain_would_not() {
-        use crate::lattice::test_images::{voxel_image, with_lattice};
+        use crate::lattice::test_images::{components_of, voxel_image, with_lattice};
         let image = voxel_image(20, |p| u16::from(noise((p / 2.0).floor()) > 0.6));
         // The labels whose Euler numbers are out of reach afterwards, and how many groups are filled in part.
         let carved = |keeps: bool| {
@@ -728,7 +730,7 @@ mod tests {
 
     #[test]
     fn vertices_on_both_sides_of_a_boundary_do_not_get_one_label() {
-        use crate::lattice::test_images::{voxel_image, with_lattice};
+        use crate::lattice::test_images::{components_of, voxel_image, with_lattice};
         let image = voxel_image(16, |p| if p.x < 8.0 { 1 } else { 2 });
         with_lattice(&image, 2.0, |lattice, context| {
             let mut elements = lattice.elements(context).unwrap();

@@ -54,13 +54,13 @@ impl<'a> KeptComponents<'a> {
             let is_filled = tet.map(|v| group.binary_search(&v).is_ok());
             let corners = lattice.corners(tet).map(|p| lattice.field.counting_index(p));
             for_each_voxel(lattice, tet, |at, label| {
+                let [i, j, k] = at.to_array().map(|x| x as usize);
+                let Some(component) = self.components.component_at(i, j, k).filter(|_| label == own) else { return };
                 let weights = barycentric(corners, at.as_dvec3()).into_iter().zip(is_filled);
                 let share: f64 = weights.filter(|(_, filled)| *filled).map(|(weight, _)| weight).sum();
-                if label != own || share < 0.5 {
+                if share < 0.5 {
                     return;
                 }
-                let [i, j, k] = at.to_array().map(|x| x as usize);
-                let Some(component) = self.components.component_at(i, j, k) else { return };
                 match taken.iter_mut().find(|t| t.component == component) {
                     Some(known) => known.voxels += 1,
                     None => taken.push(Taken { component, voxels: 1 }),
@@ -95,8 +95,7 @@ impl<'a> KeptComponents<'a> {
 mod tests {
     use super::*;
     use crate::context::RunContext;
-    use crate::image::connected_components::{Connectivity, Members};
-    use crate::lattice::test_images::{voxel_image, with_lattice};
+    use crate::lattice::test_images::{components_of, voxel_image, with_lattice};
     use crate::lattice::voxel_fidelity::mismatches;
     use glam::DVec3;
 
@@ -115,7 +114,7 @@ mod tests {
             elements.labels.fill(Label(2));
             let here = elements.tets.iter().position(holds).unwrap();
             elements.labels[here] = Label(1);
-            let components = Components::new(&image, Connectivity::Vertex, Members::All, context).unwrap();
+            let components = components_of(&image, context);
             let found = mismatches(&lattice, &elements, &components, context).unwrap();
             let mut kept = KeptComponents::new(&components, &found);
             let mut group = elements.tets[here];

@@ -3,6 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use crate::context::RunContext;
+use crate::image::connected_components::{Components, Connectivity, Members};
 use crate::image::distance_transform::distance_to_other_labels;
 use crate::image::grid::Grid;
 use crate::image::label_image::LabelImage;
@@ -48,6 +49,11 @@ pub fn foam(n: usize) -> LabelImage {
         let waves = [0.0, 1.0, 2.0].map(|k| wave(p * (1.0 + 0.13 * k), k));
         1 + (0..3).max_by(|a, b| waves[*a].total_cmp(&waves[*b])).unwrap_or(0) as u16
     })
+}
+
+/// The components of all voxels of an image, the background too, through faces, edges and vertices.
+pub fn components_of(image: &LabelImage, context: &RunContext) -> Components {
+    Components::new(image, Connectivity::Vertex, Members::All, context).unwrap()
 }
 
 /// Calls `work` with the coarsest lattice of an image, and a context of one thread.

@@ -171,12 +171,7 @@ fn block_around(at: IVec3, is_set: impl Fn(IVec3) -> bool) -> Block {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::image::connected_components::{Connectivity, Members};
-    use crate::lattice::test_images::voxel_image;
-
-    fn components_of(image: &LabelImage, context: &RunContext) -> Components {
-        Components::new(image, Connectivity::Vertex, Members::All, context).unwrap()
-    }
+    use crate::lattice::test_images::{components_of, voxel_image};
 
     #[test]
     fn what_stays_is_the_bridge_that_the_goal_has_lost() {
