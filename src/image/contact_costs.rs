@@ -188,10 +188,16 @@ impl<'a> ContactCosts<'a> {
         self.first.iter().zip(changes).map(of_label)
     }
 
+    /// The labels that changes give or take, the background left out.
+    pub fn labels_concerned(&self, changes: &[Change]) -> Vec<Label> {
+        let mut labels = each_once(changes.iter().flat_map(|([i, j, k], to)| [self.image.at(*i, *j, *k), *to]));
+        labels.retain(|l| !l.is_background());
+        labels
+    }
+
     /// How far the Euler numbers of some labels are out of their ranges, in eighths.
     pub fn out_of_range(&self, labels: &[Label]) -> i64 {
-        let of_label = |l: &Label| beyond(self.allowed[l.index()], self.changed_by[l.index()]);
-        labels.iter().filter(|l| !l.is_background()).map(of_label).sum()
+        labels.iter().map(|l| beyond(self.allowed[l.index()], self.changed_by[l.index()])).sum()
     }
 
     /// The changed voxels that have a label or are beside one that has, in their order.
@@ -270,8 +276,7 @@ impl<'a> ContactCosts<'a> {
 
     /// What changes would do to the Euler numbers of the labels concerned, 26- and 6-connected, in eighths.
     fn euler_changes(&mut self, changes: &[Change]) -> Vec<(Label, [i64; 2])> {
-        let mut labels = each_once(changes.iter().flat_map(|([i, j, k], to)| [self.image.at(*i, *j, *k), *to]));
-        labels.retain(|l| !l.is_background());
+        let labels = self.labels_concerned(changes);
         let corners = corners_of(changes);
         let numbers = |work: &Self| -> Vec<[i64; 2]> { labels.iter().map(|l| work.euler_at(&corners, *l)).collect() };
         let before = numbers(self);

@@ -166,9 +166,7 @@ impl<'a> Contacts<'a> {
     fn cheapest_gain(&mut self, candidates: &[Vec<Change>]) -> Option<Vec<Change>> {
         let mut best: Option<(Cost, &Vec<Change>)> = None;
         for candidate in candidates {
-            let image = &*self.costs.image;
-            let labels = each_once(candidate.iter().flat_map(|([i, j, k], to)| [image.at(*i, *j, *k), *to]));
-            let before = self.costs.out_of_range(&labels);
+            let before = self.costs.out_of_range(&self.costs.labels_concerned(candidate));
             if before == 0 {
                 continue;
             }
