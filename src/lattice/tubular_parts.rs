@@ -54,6 +54,14 @@ const LEAST_VOXELS: u64 = 100;
 /// Least mean length of the centerlines, in their mean radii.
 const LEAST_LENGTH: f64 = 3.5;
 
+/// The same in mean spacings: shorter ones have no direction that voxels tell. Vessels of 0.6 to 2.3 voxels radius have 8 to 17, the
+/// sheets and crumbs of a ragged cortex, which short tubes fit as well, at most 4.2.
+const LEAST_LENGTH_IN_VOXELS: f64 = 6.0;
+
+/// Least share of the vessels within a solid in its voxels, where these may tell its surface: a vessel of 0.8 voxel radius has 0.1 of
+/// a wall of 1.7 voxels and itself.
+const LEAST_INNER_SHARE: f64 = 0.05;
+
 /// Largest mean flatness of what is around nodes, and how far that goes, in radii and in mean spacings.
 const LARGEST_FLATNESS: f64 = 0.38;
 const AROUND_RADII: f64 = 2.0;
@@ -137,7 +145,10 @@ pub fn tubular_distances(
     let mut parts: Vec<Part> =
         labels.filter_map(|label| fit(label, &JoinedTubes::default()).transpose()).collect::<Result<_>>()?;
     let mut inner = JoinedTubes::default();
-    parts.iter().for_each(|part| inner.append(&part.fitted));
+    let of_vessels: u64 = parts.iter().map(|part| counts[part.label.index()]).sum();
+    if of_vessels as f64 >= LEAST_INNER_SHARE * counts[1..].iter().sum::<u64>() as f64 {
+        parts.iter().for_each(|part| inner.append(&part.fitted));
+    }
     if let Some(mut outer) = fit(0, &inner)? {
         if outer.is_around {
             let tubes = outer.fitted.tubes.clone();
@@ -360,7 +371,8 @@ fn are_vessels(tubes: &[Tube], solid: &Solid) -> bool {
     let of_tube = |tube: &Tube| (0..tube.segment_count()).map(|n| of_segment(tube, n)).sum::<f64>();
     let volume = tubes.iter().map(of_tube).sum::<f64>();
     let ratio = volume / (solid.voxels.len() as f64 * solid.spacing.element_product());
-    length > LEAST_LENGTH * radius * tubes.len() as f64
+    let least = (LEAST_LENGTH * radius).max(LEAST_LENGTH_IN_VOXELS * solid.mean_spacing());
+    length > least * tubes.len() as f64
         && VOLUME_RANGE.contains(&ratio)
         && mean_flatness(tubes, solid) < LARGEST_FLATNESS
 }
@@ -470,7 +482,13 @@ mod tests {
             u16::from(q.length() < 8.0 + 1.5 * (q.x * 0.7).sin() + 1.5 * (q.y * 0.6).cos())
         });
         let specks = voxel_image(30, |p| u16::from((p.x * 31.0 + p.y * 17.0 + p.z * 7.0) % 13.0 == 0.0));
-        for (name, image) in [("sheet", sheet), ("shell", shell), ("lump", lump), ("specks", specks)] {
+        // Rods that meet every five voxels.
+        let net = voxel_image(19, |p| {
+            let from = (p - 2.2) - ((p - 2.2) / 5.0).round() * 5.0;
+            let [x, y, z] = (from * from).to_array();
+            u16::from((x + y).min(y + z).min(z + x) < 1.6)
+        });
+        for (name, image) in [("sheet", sheet), ("shell", shell), ("lump", lump), ("specks", specks), ("net", net)] {
             assert!(distances(&image, 1).iter().all(Option::is_none), "{name}");
         }
     }
