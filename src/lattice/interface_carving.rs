@@ -7,13 +7,15 @@
 //! 2. Each connected group of pinched vertices gets one label for all its inner parts: one that has elements at as many of
 //!    them as any other, of these one on whose side of the image they lie, then the label whose pieces the pinch keeps apart, or
 //!    that lies between two others that touch; not one that would join two components of the image. The vertices that do not
-//!    have the label are left for another round, with other labels, while rounds are left. Where Euler numbers are to be kept,
+//!    have the label are left for another round, with other labels, while rounds are left; where these are most of them, as in a chain
+//!    along which labels change, the group is parted by the labels that its vertices would get alone. Where Euler numbers are to be kept,
 //!    first of all one that leaves them within reach ([`super::euler_ranges`]). Where none does, or some vertices lie far on the
 //!    other side of it, the vertices are filled one by one, as far as that keeps them. Sides do not count where Euler numbers are
 //!    checked afterwards: these are what matters then.
 //! 3. Before all that, no component of the image is to lose its last voxel ([`super::kept_components`]), and no label is to touch
 //!    elements that a wall keeps apart from it ([`super::image_contacts`]). Vertices that no label fills without opening a wall stay
-//!    pinched: a hole in it is worse. Where Euler numbers are checked afterwards these come first, and nothing stays pinched.
+//!    pinched, as a hole in it is worse; in the last round those between parts do so too. Where Euler numbers are checked afterwards these
+//!    come first, and nothing stays pinched.
 //! 4. The corners of a breach of a wall count as pinched; the label that opens none is the wall's.
 //!
 //! ```text
@@ -41,6 +43,7 @@
 //! Where middles of edges are no lattice points (at the finest level) a pinched vertex stays, and is reported.
 
 use std::cmp::Reverse;
+use std::collections::BTreeMap;
 
 use glam::IVec3;
 
@@ -189,24 +192,25 @@ pub fn choose_fillings(
     let mut fillings = Fillings { label_of: vec![None; topology.vertex_count()] };
     for (at, group) in groups_of(topology, &pinches.vertices).into_iter().enumerate() {
         context.check_every(GROUPS_PER_CHECK, at)?;
-        let Some(filled) = choice.filled(&group) else { continue };
-        let fits = filled.off <= 0 && filled.misplaced == 0 && filled.lost == 0 && !filled.opens;
-        let may_leave_some = !fits && choice.may_leave_some(&topology.elements_around(&group));
+        let may_leave_some = choice.may_leave_some(&topology.elements_around(&group));
+        let whole = choice.filled(&group);
+        let fits = whole.as_ref().is_some_and(Filled::fits);
+        let may_be_parted = may_leave_some || !(fits || choice.rules.are_checked);
+        let filled = match whole {
+            Some(filled) if may_be_parted && choice.is_strange(filled.label, &group) => None,
+            whole => whole,
+        };
+        let Some(filled) = filled else {
+            choice.fill_parts(&group, &mut fillings);
+            continue;
+        };
         if fits || !(may_leave_some || filled.opens) {
             choice.take(filled, &mut fillings);
             continue;
         }
         // What a chain of vertices spans may join what lies apart, open a wall, or lie on both sides of a boundary: one by one, those
         // beside a filled one in another round.
-        for v in &group {
-            if topology.vertices_of(topology.ball(*v)).iter().any(|near| fillings.has(*near)) {
-                continue;
-            }
-            let fits = |filled: &Filled| (filled.off <= 0 && filled.lost == 0 || !may_leave_some) && !filled.opens;
-            if let Some(filled) = choice.filled(&[*v]).filter(fits) {
-                choice.take(filled, &mut fillings);
-            }
-        }
+        choice.fill_one_by_one(&group, may_leave_some, &mut fillings);
     }
     Ok(fillings)
 }
@@ -225,6 +229,13 @@ struct Filled {
     off: i64,
     /// How many of the vertices lie beyond the label's boundary, where that counts.
     misplaced: usize,
+}
+
+impl Filled {
+    /// Whether nothing speaks against it.
+    fn fits(&self) -> bool {
+        self.off <= 0 && self.misplaced == 0 && self.lost == 0 && !self.opens
+    }
 }
 
 /// What speaks against a label for a group of vertices.
@@ -287,6 +298,52 @@ impl Choice<'_> {
         let opens = !rules.are_checked && contacts.walled_off(&topology.elements_around(&group), labels, label) > 0;
         let misplaced = misplaced(&group, label);
         Some(Filled { opens, off: off(&changes), misplaced, lost, group, label, changes, taken })
+    }
+
+    /// Whether most vertices of a group, which may be a chain many voxels long, do not have the label: it would reach far from its voxels.
+    fn is_strange(&self, label: Label, group: &[u32]) -> bool {
+        2 * strangers(self.topology, group, label, self.labels) > group.len()
+    }
+
+    /// Fills the vertices of a group by parts that would have the same label alone, the largest first, without those beside a filled one.
+    fn fill_parts(&mut self, group: &[u32], fillings: &mut Fillings) {
+        let mut with_label: BTreeMap<Label, Vec<u32>> = BTreeMap::new();
+        for v in group {
+            if let Some(filled) = self.filled(&[*v]) {
+                with_label.entry(filled.label).or_default().push(*v);
+            }
+        }
+        let mut parts: Vec<(Label, Vec<u32>)> = Vec::new();
+        for (label, vertices) in with_label {
+            parts.extend(groups_of(self.topology, &vertices).into_iter().map(|part| (label, part)));
+        }
+        parts.sort_by_key(|(_, part)| Reverse(part.len()));
+        for (label, mut part) in parts {
+            part.retain(|v| !self.is_beside_filled(*v, fillings));
+            let fits = |filled: &Filled| filled.label == label && filled.off <= 0 && filled.lost == 0 && !filled.opens;
+            match self.filled(&part).filter(fits) {
+                Some(filled) => self.take(filled, fillings),
+                None => self.fill_one_by_one(&part, true, fillings),
+            }
+        }
+    }
+
+    /// Fills vertices of a group alone, without those beside a filled one; where some may be left, also without those that put Euler
+    /// numbers out of reach or take the last voxels of a component.
+    fn fill_one_by_one(&mut self, group: &[u32], may_leave_some: bool, fillings: &mut Fillings) {
+        for v in group {
+            if self.is_beside_filled(*v, fillings) {
+                continue;
+            }
+            let fits = |filled: &Filled| (filled.off <= 0 && filled.lost == 0 || !may_leave_some) && !filled.opens;
+            if let Some(filled) = self.filled(&[*v]).filter(fits) {
+                self.take(filled, fillings);
+            }
+        }
+    }
+
+    fn is_beside_filled(&self, vertex: u32, fillings: &Fillings) -> bool {
+        self.topology.vertices_of(self.topology.ball(vertex)).iter().any(|near| fillings.has(*near))
     }
 
     /// Whether a vertex lies beyond the boundary of a label in the image.
@@ -374,17 +431,21 @@ fn label_for(
         pieces.dedup();
         pieces.len() as i64 - 1 > regions.surplus[label.index()].max(0)
     };
-    // A group may be a chain many voxels long: a label that is only at one end of it would reach far from its voxels.
-    let strangers = |label: Label| group.iter().filter(|v| !topology.has_label(**v, label, labels)).count();
     let score = |label: Label| group.iter().map(|v| topology.excess_of(*v, label, labels)).sum::<i64>();
     // The background last: a leak is closed rather than opened.
     let allowed = candidates.into_iter().filter(|l| !joins_too_much(*l));
     allowed.max_by_key(|l| {
         let is_tissue = !l.is_background();
         let Objections { lost, weightiest, misplaced } = objections(*l);
-        let against = (Reverse(lost), Reverse(weightiest), Reverse(strangers(*l)), Reverse(misplaced));
+        let against =
+            (Reverse(lost), Reverse(weightiest), Reverse(strangers(topology, group, *l, labels)), Reverse(misplaced));
         (against, is_tissue, score(*l), Reverse(*l))
     })
+}
+
+/// How many vertices of a group do not have a label.
+fn strangers(topology: &InterfaceTopology, group: &[u32], label: Label, labels: &[Label]) -> usize {
+    group.iter().filter(|v| !topology.has_label(**v, label, labels)).count()
 }
 
 /// Cuts every element with vertices that are filled; the number before of each element, or [`CHANGED`].
@@ -586,6 +647,53 @@ mod tests {
         assert!(near < all && near > 0, "{near} of {all}");
         assert_eq!(treated, near, "the label that is at more of the line fills what it is at");
         assert_eq!(carved(Extent::Whole).0, all);
+    }
+
+    #[test]
+    fn a_chain_along_which_labels_change_is_filled_by_parts() {
+        use crate::lattice::test_images::{components_of, voxel_image, with_lattice};
+        // Two labels in each third of the image, and a line of vertices between them through all thirds.
+        let image = voxel_image(24, |p| 1 + 2 * (p.x / 8.0) as u16 + u16::from(p.y < 12.0));
+        let filled = |are_checked: bool| {
+            with_lattice(&image, 2.0, |lattice, context| {
+                let elements = lattice.elements(context).unwrap();
+                let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap();
+                let topology = topology_of(&lattice, &elements, &neighbors, context);
+                let place = |v: &u32| lattice.frame.local(lattice.vertices.positions[*v as usize]);
+                let inner: Vec<u32> = (0..topology.vertex_count() as u32).filter(|v| !topology.is_open(*v)).collect();
+                let off_axis = |v: &u32| (place(v) - 11.5).y.hypot((place(v) - 11.5).z);
+                let least = inner.iter().map(off_axis).fold(f64::INFINITY, f64::min);
+                let line: Vec<u32> = inner.into_iter().filter(|v| off_axis(v) < least + 1e-9).collect();
+                assert_eq!(groups_of(&topology, &line).len(), 1);
+                let regions = Regions { of_element: vec![0; elements.tets.len()], surplus: vec![0; 7] };
+                let components = components_of(&image, context);
+                let (kept, extent) = (KeptComponents::new(&components, &[]), Extent::Whole);
+                let rules = FillingRules { regions: &regions, euler: None, are_checked, extent, kept };
+                let pinches = Pinches { vertices: line.clone() };
+                let fillings =
+                    choose_fillings(&lattice, &elements.labels, &topology, &pinches, rules, context).unwrap();
+                let mut thirds = [false; 3];
+                let (mut left, mut strange) = (0, 0);
+                for v in &line {
+                    let Some(label) = fillings.label_of[*v as usize] else {
+                        left += 1;
+                        continue;
+                    };
+                    strange += usize::from(!topology.has_label(*v, label, &elements.labels));
+                    thirds[(label.index() - 1) / 2] = true;
+                    let around = topology.vertices_of(topology.ball(*v));
+                    let beside = around.iter().filter_map(|near| fillings.label_of[*near as usize]);
+                    assert!(beside.into_iter().all(|other| other == label), "vertices side by side have one label");
+                }
+                (thirds.iter().filter(|third| **third).count(), left, strange, line.len())
+            })
+        };
+        let (thirds, left, strange, all) = filled(false);
+        assert_eq!((thirds, strange), (3, 0));
+        assert!(0 < left && left < all / 3, "{left} of {all}");
+        // Where Euler numbers are checked afterwards nothing is left.
+        let (thirds, left, strange, _) = filled(true);
+        assert!((thirds, left) == (1, 0) && strange > all / 2, "{thirds} {left} {strange} of {all}");
     }
 
     #[test]
