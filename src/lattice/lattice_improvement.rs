@@ -55,7 +55,7 @@ use crate::lattice::surface_crossings::count_crossings;
 use crate::lattice::surface_relabelling::{Causes, RelabellingBounds, relabel_beyond_surface};
 use crate::lattice::surface_spikes::merge_spikes;
 use crate::lattice::vertex_optimization::{plan_inside, plan_relaxation};
-use crate::lattice::volume_offsets::{move_by_offsets, update_offsets};
+use crate::lattice::volume_offsets::{OffsetMoves, move_by_offsets, update_offsets};
 use crate::lattice::voxel_cleanup::CleanImage;
 
 /// Score that relaxation may spend in each round, degrees. The first rounds bring vertices onto their surface although tets
@@ -166,6 +166,9 @@ const LAST_LEFT: f64 = 0.95;
 /// Steps that bring the volumes back after that: what comes nearer in a crotch is volume of the vessel. On 13 trees up to 0.69 %
 /// are off without.
 const VOLUME_STEPS: usize = 3;
+
+/// How far a label's volume has to be off at the end for its surface to move once more: half of what is promised.
+const LEAST_VOLUME_ERROR: f64 = 0.0025;
 
 /// Perturbations that searches may try in one mesh.
 const LARGEST_SEARCH: usize = 20_000;
@@ -338,9 +341,12 @@ pub fn improve(
             budget: LEAST_APPROACHES,
         };
         summary.approached += approach_surface(&mut work, bounds, &mut mend, context)?;
-        for _ in 0..VOLUME_STEPS {
-            move_by_offsets(&mut work, &clean.volumes, LARGEST_OFFSET * voxel, wanted, context)?;
-        }
+    }
+    let (steps, least) = if is_approached { (VOLUME_STEPS, 0.0) } else { (1, LEAST_VOLUME_ERROR) };
+    let moves = OffsetMoves { least, largest: LARGEST_OFFSET * voxel, bound: wanted };
+    let mut is_moved = false;
+    for _ in 0..steps {
+        is_moved |= move_by_offsets(&mut work, &clean.volumes, &moves, context)?;
     }
     for _ in 0..options.laplacian_iterations {
         for v in 0..work.points.len() as u32 {
@@ -351,7 +357,7 @@ pub fn improve(
     }
     context.check()?;
     summary.crossings = count_crossings(&work, context)?;
-    let is_known = options.laplacian_iterations == 0 && !is_approached;
+    let is_known = options.laplacian_iterations == 0 && !is_approached && !is_moved;
     let mut low = if is_known { left } else { low_tets(&work, wanted, context)? };
     low.retain(|(_, t)| work.part(*t) == Part::Mesh);
     summary.low_after = low.len();

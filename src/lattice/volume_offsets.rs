@@ -20,6 +20,7 @@ use rustc_hash::FxHashMap;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::geometry::tetrahedron::volume6;
+use crate::index::Label;
 use crate::lattice::element_score::{Part, Threshold};
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::lattice::subvoxel_surface::Side;
@@ -38,36 +39,46 @@ const VERTICES_PER_CHECK: usize = 1024;
 /// # Errors
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn update_offsets(mesh: &mut ImprovementMesh, wanted: &[f64], largest: f64, context: &RunContext) -> Result<()> {
-    context.check()?;
-    let volumes = volumes_of(mesh, wanted.len());
-    context.check()?;
-    mesh.refresh_stars(context)?;
-    let pairs = areas_between(mesh);
-    let missing: Vec<f64> = wanted.iter().zip(volumes).map(|(wanted, volume)| wanted - volume).collect();
-    shift(mesh.surface.offsets_mut(), &missing, &pairs, largest);
-    Ok(())
+    let missing = missing_volumes(mesh, wanted, context)?;
+    offset_by(mesh, &missing, largest, context)
 }
 
-/// Sets the offsets as [`update_offsets`] does, and moves the vertices between two labels by what they change, each where its tets
-/// keep the score `bound`, degrees: shapes stay, which a relaxation would smooth.
+/// Which vertices move with the offsets.
+pub struct OffsetMoves {
+    /// How far a label's volume has to be off for its surface to move, as a share of the wanted one.
+    pub least: f64,
+    /// Largest offset, mm.
+    pub largest: f64,
+    /// Score that the tets of a vertex keep, degrees.
+    pub bound: f64,
+}
+
+/// Sets the offsets as [`update_offsets`] does, and moves the vertices between two labels by what they change: shapes stay, which a
+/// relaxation would smooth. Returns whether a label was off.
 ///
 /// # Errors
 /// As [`update_offsets`].
 pub fn move_by_offsets(
     mesh: &mut ImprovementMesh,
     wanted: &[f64],
-    largest: f64,
-    bound: f64,
+    moves: &OffsetMoves,
     context: &RunContext,
-) -> Result<()> {
+) -> Result<bool> {
+    let missing = missing_volumes(mesh, wanted, context)?;
+    let is_off: Vec<bool> =
+        missing.iter().zip(wanted).skip(1).map(|(missing, wanted)| missing.abs() > moves.least * wanted).collect();
+    if !is_off.contains(&true) {
+        return Ok(false);
+    }
+    let is_off = |label: Label| !label.is_background() && is_off[label.index() - 1];
     let before = mesh.surface.offsets_mut().to_vec();
-    update_offsets(mesh, wanted, largest, context)?;
+    offset_by(mesh, &missing, moves.largest, context)?;
     let outward: Vec<f64> = mesh.surface.offsets_mut().iter().zip(before).map(|(now, then)| *now - then).collect();
-    let needed = Threshold::of(bound);
+    let needed = Threshold::of(moves.bound);
     for v in 0..mesh.points.len() as u32 {
         context.check_every(VERTICES_PER_CHECK, v as usize)?;
         let [Side::Label(a), Side::Label(b)] = *mesh.sides(v) else { continue };
-        if mesh.fixed[v as usize] || mesh.ball(v).is_empty() {
+        if mesh.fixed[v as usize] || mesh.ball(v).is_empty() || !(is_off(a) || is_off(b)) {
             continue;
         }
         let place = mesh.points[v as usize];
@@ -80,6 +91,22 @@ pub fn move_by_offsets(
             }
         });
     }
+    Ok(true)
+}
+
+/// What each label lacks of its wanted volume, mm^3.
+fn missing_volumes(mesh: &ImprovementMesh, wanted: &[f64], context: &RunContext) -> Result<Vec<f64>> {
+    context.check()?;
+    let volumes = volumes_of(mesh, wanted.len());
+    context.check()?;
+    Ok(wanted.iter().zip(volumes).map(|(wanted, volume)| wanted - volume).collect())
+}
+
+/// Shifts the mesh's offsets by what is missing.
+fn offset_by(mesh: &mut ImprovementMesh, missing: &[f64], largest: f64, context: &RunContext) -> Result<()> {
+    mesh.refresh_stars(context)?;
+    let pairs = areas_between(mesh);
+    shift(mesh.surface.offsets_mut(), missing, &pairs, largest);
     Ok(())
 }
 
@@ -156,7 +183,7 @@ fn areas_between(mesh: &ImprovementMesh) -> Vec<((usize, usize), f64)> {
 mod tests {
     use super::*;
     use crate::context::RunContext;
-    use crate::index::{Label, VertexId};
+    use crate::index::VertexId;
     use crate::lattice::boundary_targets::SourcePoints;
     use crate::lattice::candidate_mesh::CandidateMesh;
     use crate::lattice::face_adjacency::neighbors_of;
@@ -186,19 +213,27 @@ mod tests {
         let mut work = ImprovementMesh::new(&mut mesh, &sources, surface);
         let volume = |work: &ImprovementMesh| volumes_of(work, 2)[1];
         assert!((volume(&work) - 36.0).abs() < 1e-9);
-        for _ in 0..3 {
-            move_by_offsets(&mut work, &[0.0, 38.0], 0.5, 15.0, &context).unwrap();
-        }
+        let moves = |least: f64, bound: f64| OffsetMoves { least, largest: 0.5, bound };
+        let mut steps = |wanted: f64, moves: OffsetMoves, context: &RunContext| {
+            let moved = move_by_offsets(&mut work, &[0.0, wanted], &moves, context);
+            (moved, volume(&work))
+        };
+        // Off by 5.3 %.
+        let (moved, held) = steps(38.0, moves(0.06, 15.0), &context);
+        assert!(!moved.unwrap() && (held - 36.0).abs() < 1e-9);
+        assert!((0..2).all(|_| steps(38.0, moves(0.0, 15.0), &context).0.unwrap()));
+        let (_, held) = steps(38.0, moves(0.0, 15.0), &context);
         // Measured 37.85: the vertices of so coarse a mesh go less far than its faces would have to.
-        assert!((volume(&work) - 38.0).abs() < 0.2, "{}", volume(&work));
-        move_by_offsets(&mut work, &[0.0, 38.0], 0.5, 89.0, &context).unwrap();
-        let held = volume(&work);
-        move_by_offsets(&mut work, &[0.0, 30.0], 0.5, 89.0, &context).unwrap();
-        assert_eq!(volume(&work), held);
+        assert!((held - 38.0).abs() < 0.2, "{held}");
+        for wanted in [38.0, 30.0] {
+            let (moved, volume) = steps(wanted, moves(0.0, 89.0), &context);
+            assert!(moved.unwrap());
+            assert_eq!(volume, held);
+        }
         context.cancel_token().cancel();
-        let cancelled = move_by_offsets(&mut work, &[0.0, 30.0], 0.5, 15.0, &context);
+        let (cancelled, volume) = steps(30.0, moves(0.0, 15.0), &context);
         assert!(matches!(cancelled, Err(crate::Error::Cancelled)));
-        assert_eq!(volume(&work), held);
+        assert_eq!(volume, held);
     }
 
     #[test]
