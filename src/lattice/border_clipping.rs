@@ -39,6 +39,7 @@ use crate::index::{Label, VertexId};
 use crate::lattice::border_snapping::{Plane, move_vertices};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::relabel_for_smoothing;
+use crate::lattice::element_score::tet_score;
 use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
 use crate::lattice::interface_topology::{InterfaceTopology, labels_of};
 use crate::lattice::scaffold::Scaffold;
@@ -129,20 +130,24 @@ impl Clipping {
                 continue;
             }
             let cut = |work: &mut Self, inner: u32, outer: u32| {
-                *cuts.entry((inner, outer)).or_insert_with(|| {
-                    let [low, high] = [inner, outer].map(|v| heights[v as usize]);
-                    let mut point = work.points[inner as usize].lerp(work.points[outer as usize], low / (low - high));
-                    point[axis] = at;
-                    work.points.push(point);
-                    work.fixed.push(false);
-                    work.changed.push(true);
-                    work.points.len() as u32 - 1
-                })
+                *cuts.entry((inner, outer)).or_insert_with(|| work.cut([inner, outer], &heights, axis, at))
             };
             for piece in pieces(self, tet, &heights, cut) {
                 self.push(piece, label, true);
             }
         }
+    }
+
+    /// Puts a vertex on an edge where it meets a plane.
+    fn cut(&mut self, edge: [u32; 2], heights: &[f64], axis: usize, at: f64) -> u32 {
+        let [low, high] = edge.map(|v| heights[v as usize]);
+        let [inner, outer] = edge.map(|v| self.points[v as usize]);
+        let mut point = inner.lerp(outer, low / (low - high));
+        point[axis] = at;
+        self.points.push(point);
+        self.fixed.push(false);
+        self.changed.push(true);
+        self.points.len() as u32 - 1
     }
 
     fn push(&mut self, tet: [u32; 4], label: Label, relabel: bool) {
@@ -293,6 +298,30 @@ fn unite_at_pinches(
     Ok(())
 }
 
+/// The lowest score, degrees, of what a plane leaves of a tet with these corners and heights; infinite where nothing is left, below 0 where
+/// the tet is inverted. Where two corners are of a height the first counts as that of the smaller number.
+pub(super) fn lowest_left(corners: [DVec3; 4], heights: [f64; 4], plane: Plane) -> f64 {
+    if volume6(corners) <= 0.0 {
+        return f64::NEG_INFINITY;
+    }
+    let mut work = Clipping {
+        points: corners.to_vec(),
+        tets: Vec::new(),
+        labels: Vec::new(),
+        fixed: vec![false; 4],
+        changed: vec![false; 4],
+        relabels: Vec::new(),
+    };
+    let left = match heights.iter().any(|height| *height > 0.0) {
+        true => pieces(&mut work, [0, 1, 2, 3], &heights, |work, inner, outer| {
+            work.cut([inner, outer], &heights, plane.axis, plane.at)
+        }),
+        false => vec![[0, 1, 2, 3]],
+    };
+    let scores = left.into_iter().map(|piece| tet_score(piece.map(|v| work.points[v as usize])));
+    scores.fold(f64::INFINITY, f64::min)
+}
+
 /// What is left of a tet below the plane; it has a vertex above.
 fn pieces(
     work: &mut Clipping,
@@ -346,7 +375,6 @@ mod tests {
     use crate::image::grid::Grid;
     use crate::image::label_image::LabelImage;
     use crate::lattice;
-    use crate::lattice::element_score::tet_score;
     use crate::lattice::options::{Options, PARAMETERS};
     use crate::mesh::quality::mesh_quality;
     use crate::mesh::validation::check_mixed_mesh;

@@ -7,8 +7,8 @@
 //!    looked at: below the plane each label around it is to have one part, without holes, and each edge on the plane one fan of
 //!    elements of each label. Then it is one disc on a small sphere around the vertex, or nothing: the tip of a label that reaches past
 //!    the plane in one vertex goes with it. Where it is not so the vertex stays where it is.
-//! 4. A vertex that may not go onto the plane goes away from it, as far as one that is not near it would be, where that spoils no
-//!    element: the parts of edges between it and the plane would be short.
+//! 4. A vertex that may not go onto the plane goes away from it, as the parts of edges between it and the plane would be short: as far as
+//!    one that is not near it would be, or a part of that where the lowest of what the plane leaves of its elements is less low then.
 //! ```text
 //!     a a . v . b b       b   label in question, below the plane; v is to go onto the plane: the label would touch
 //!      \ a / \ b /            itself in v, and what went through v be parted: v stays
@@ -26,7 +26,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
-use crate::lattice::border_clipping::Clipping;
+use crate::lattice::border_clipping::{Clipping, lowest_left};
 use crate::lattice::element_score::{Threshold, tet_fails, tet_score};
 use crate::lattice::interface_topology::{labels_of, opposite_to, shape_of};
 use crate::mesh::numbering::TET_EDGES;
@@ -34,8 +34,15 @@ use crate::mesh::numbering::TET_EDGES;
 /// A vertex whose distance to the plane is less than this part of an edge that crosses it moves onto the plane.
 const NEAR: f64 = 0.3;
 
-/// Score in degrees below which the move of a vertex onto the plane may bring no element that stays.
+/// Score in degrees below which the move of a vertex onto the plane may bring no element that stays, and that one away from it is to
+/// leave.
 const LEAST_SCORE: f64 = 5.0;
+
+/// Parts of the way away from the plane that are tried: small elements beside a large one leave no room for all of it.
+const PARTS_AWAY: [f64; 4] = [1.0, 0.5, 0.25, 0.12];
+
+/// Times that vertices away from the plane are looked at: at first the others around are near it yet.
+const PASSES_AWAY: usize = 2;
 
 /// Elements per parallel work item.
 const CHUNK: usize = 4096;
@@ -77,33 +84,63 @@ pub(super) fn move_vertices(work: &mut Clipping, heights: &mut [f64], plane: Pla
     moves
 }
 
-/// Moves vertices near a plane away from it, where that spoils no element; returns those that moved.
+/// Moves vertices near a plane away from it, as far as that makes what is left of their elements better; returns those that moved.
 fn move_away(work: &mut Clipping, heights: &mut [f64], mut vertices: Vec<usize>, plane: Plane) -> Vec<usize> {
     let balls = balls_of(work, &vertices);
-    let bound = Threshold::of(LEAST_SCORE);
-    vertices.retain(|v| {
-        let (ball, own) = (&balls[&(*v as u32)], heights[*v]);
-        // Where the longest of the edges that cross the plane has the vertex no longer near it.
-        let others = ball.iter().flat_map(|e| work.tets[*e as usize]).map(|w| heights[w as usize]);
-        let across = others.filter(|height| height * own < 0.0).fold(0.0, |far: f64, height| far.max(height.abs()));
-        let far = across * NEAR / (1.0 - NEAR);
-        if far <= own.abs() {
-            return false;
-        }
-        let before = work.points[*v];
-        let mut after = before;
-        after[plane.axis] = plane.coordinate(far.copysign(own));
-        let corners = |e: &u32, place: DVec3| {
-            work.tets[*e as usize].map(|w| if w as usize == *v { place } else { work.points[w as usize] })
+    let mut moved = Vec::new();
+    for _ in 0..PASSES_AWAY {
+        vertices.retain(|v| {
+            let (height, lowest) = height_away(work, heights, *v, &balls[&(*v as u32)], plane);
+            if height != heights[*v] {
+                heights[*v] = height;
+                work.points[*v][plane.axis] = plane.coordinate(height);
+                moved.push(*v);
+            }
+            lowest < LEAST_SCORE
+        });
+    }
+    moved.sort_unstable();
+    moved.dedup();
+    moved
+}
+
+/// The height for a vertex near a plane at which the lowest of what is left of its elements is least low, its own among those tried, and
+/// that score.
+fn height_away(work: &Clipping, heights: &[f64], v: usize, ball: &[u32], plane: Plane) -> (f64, f64) {
+    let tets = ball.iter().map(|e| work.tets[*e as usize]);
+    let staying: Vec<[u32; 4]> = tets.filter(|tet| tet.iter().any(|w| heights[*w as usize] < 0.0)).collect();
+    let lowest = |height: f64| {
+        let height_of = |w: u32| if w as usize == v { height } else { heights[w as usize] };
+        let place_of = |w: u32| {
+            let mut place = work.points[w as usize];
+            if w as usize == v {
+                place[plane.axis] = plane.coordinate(height);
+            }
+            place
         };
-        let may_move = !ball.iter().any(|e| is_lowered(corners(e, before), corners(e, after), &bound));
-        if may_move {
-            work.points[*v] = after;
-            heights[*v] = far.copysign(own);
+        let scores = staying.iter().map(|tet| lowest_left(tet.map(place_of), tet.map(height_of), plane));
+        scores.fold(f64::INFINITY, f64::min)
+    };
+    let own = heights[v];
+    let mut best = (own, lowest(own));
+    // Where the longest of the edges that cross the plane has the vertex no longer near it.
+    let others = ball.iter().flat_map(|e| work.tets[*e as usize]).map(|w| heights[w as usize]);
+    let across = others.filter(|height| height * own < 0.0).fold(0.0, |far: f64, height| far.max(height.abs()));
+    let far = across * NEAR / (1.0 - NEAR);
+    if far <= own.abs() {
+        return best;
+    }
+    for part in PARTS_AWAY {
+        let height = own + part * (far.copysign(own) - own);
+        let found = lowest(height);
+        if found > best.1 {
+            best = (height, found);
         }
-        may_move
-    });
-    vertices
+        if best.1 >= LEAST_SCORE {
+            break;
+        }
+    }
+    best
 }
 
 /// Whether a tet fails a bound once its vertices have moved, and is worse than before.
@@ -301,7 +338,7 @@ mod tests {
         // Vertex 0 just below the plane z = 0, between two tets of label 1 that share the edge to vertex 1 above, in a ring of
         // label 2. Without the vertex nothing of label 1 would be joined below.
         let ring = [[1.0, 0.0], [0.3, 1.0], [-1.0, 0.3], [-0.8, -0.8], [0.4, -1.0]];
-        let mut points = vec![DVec3::new(0.0, 0.0, -0.05), DVec3::new(0.0, 0.0, 1.0), DVec3::new(0.0, 0.0, -1.0)];
+        let mut points = vec![DVec3::new(0.0, 0.0, -0.05), DVec3::Z, DVec3::NEG_Z];
         points.extend(ring.map(|[x, y]| DVec3::new(x, y, -0.4)));
         let positive = |mut tet: [u32; 4]| {
             if volume6(tet.map(|v| points[v as usize])) < 0.0 {
@@ -311,9 +348,11 @@ mod tests {
         };
         let around = |apex: u32| (0..5u32).map(move |i| [0, 3 + i, 3 + (i + 1) % 5, apex]);
         let labels_above = [1, 2, 1, 2, 2];
-        let moved = |above: [u16; 5]| {
+        let moved = |above: [u16; 5], bottom: f64| {
+            let mut points = points.clone();
+            points[2].z = bottom;
             let mut mesh = CandidateMesh {
-                points: points.clone(),
+                points,
                 tets: around(1).chain(around(2)).map(positive).collect(),
                 tet_labels: above.into_iter().chain([2; 5]).map(Label).collect(),
                 ..CandidateMesh::default()
@@ -323,8 +362,12 @@ mod tests {
             move_vertices(&mut work, &mut heights, Plane { axis: 2, at: 0.0, is_low: false });
             heights[0]
         };
-        assert!(moved(labels_above) < -0.05, "{}", moved(labels_above));
+        let free = moved(labels_above, -1.0);
+        assert!((free + 0.3 / 0.7).abs() < 1e-12, "{free}");
+        // Elements below that so long a way would turn over.
+        let held = moved(labels_above, -0.42);
+        assert!(-0.42 < held && held < -0.05, "{held}");
         // Beside each other they are one part.
-        assert_eq!(moved([1, 1, 2, 2, 2]), 0.0);
+        assert_eq!(moved([1, 1, 2, 2, 2], -1.0), 0.0);
     }
 }
