@@ -58,10 +58,6 @@ const LEAST_LENGTH: f64 = 3.5;
 /// sheets and crumbs of a ragged cortex, which short tubes fit as well, at most 4.2.
 const LEAST_LENGTH_IN_VOXELS: f64 = 6.0;
 
-/// Least share of the vessels within a solid in its voxels, where these may tell its surface: a vessel of 0.8 voxel radius has 0.1 of
-/// a wall of 1.7 voxels and itself.
-const LEAST_INNER_SHARE: f64 = 0.05;
-
 /// Largest mean flatness of what is around nodes, and how far that goes, in radii and in mean spacings.
 const LARGEST_FLATNESS: f64 = 0.38;
 const AROUND_RADII: f64 = 2.0;
@@ -145,10 +141,7 @@ pub fn tubular_distances(
     let mut parts: Vec<Part> =
         labels.filter_map(|label| fit(label, &JoinedTubes::default()).transpose()).collect::<Result<_>>()?;
     let mut inner = JoinedTubes::default();
-    let of_vessels: u64 = parts.iter().map(|part| counts[part.label.index()]).sum();
-    if of_vessels as f64 >= LEAST_INNER_SHARE * counts[1..].iter().sum::<u64>() as f64 {
-        parts.iter().for_each(|part| inner.append(&part.fitted));
-    }
+    parts.iter().for_each(|part| inner.append(&part.fitted));
     if let Some(mut outer) = fit(0, &inner)? {
         if outer.is_around {
             let tubes = outer.fitted.tubes.clone();
