@@ -662,6 +662,7 @@ mod tests {
                 let place = |v: &u32| lattice.frame.local(lattice.vertices.positions[*v as usize]);
                 let inner: Vec<u32> = (0..topology.vertex_count() as u32).filter(|v| !topology.is_open(*v)).collect();
                 let off_axis = |v: &u32| (place(v) - 11.5).y.hypot((place(v) - 11.5).z);
+                // Places on one line are equal but for rounding.
                 let least = inner.iter().map(off_axis).fold(f64::INFINITY, f64::min);
                 let line: Vec<u32> = inner.into_iter().filter(|v| off_axis(v) < least + 1e-9).collect();
                 assert_eq!(groups_of(&topology, &line).len(), 1);

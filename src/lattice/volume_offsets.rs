@@ -5,6 +5,9 @@
 //! sum over the neighbours `b` of `area(a, b) (x_a - x_b) = missing(a)`, every offset within its bounds, so that the others take
 //! into account which one has reached them. The background stays at 0.
 //!
+//! Relaxation brings the vertices to where the offsets have their surfaces. At the end, when it would spoil what stands, the vertices of
+//! labels that are off go by the change of the offsets alone.
+//!
 //! # Limits
 //! Between labels one voxel thick surfaces follow only a part of an offset: there voxel centres stand close on both sides.
 //!
