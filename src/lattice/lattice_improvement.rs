@@ -14,9 +14,10 @@
 //! one what still is far off its surface is brought nearer ([`surface_approach`](crate::lattice::surface_approach)); where labels are
 //! vessels also at the end, after tets beyond the surface took the other label and surface edges that bridge a crease were flipped
 //! ([`surface_edge_flips`](crate::lattice::surface_edge_flips)). The volumes come back after that, elsewhere those of labels that are
-//! clearly off at the end, vertex by vertex ([`volume_offsets`](crate::lattice::volume_offsets)). Tets beyond the surface take the other label in the first rounds, those
-//! that turn triangles of it upside down also at the end ([`surface_relabelling`](crate::lattice::surface_relabelling)); then vertices
-//! go that stand off a surface which is nearer without them ([`surface_spikes`](crate::lattice::surface_spikes)).
+//! clearly off at the end, vertex by vertex ([`volume_offsets`](crate::lattice::volume_offsets)). Tets beyond the surface take the
+//! other label in the first rounds, those that turn triangles of it upside down also at the end
+//! ([`surface_relabelling`](crate::lattice::surface_relabelling)); then vertices go that stand off a surface which is nearer without
+//! them ([`surface_spikes`](crate::lattice::surface_spikes)).
 //! Vertices and tets are renumbered along a curve first, and again after most splits ([`vertex_order`](crate::lattice::vertex_order)).
 //! Around tets that are low after all that, the mesh is searched through worse ones, and surface vertices may stay off their
 //! surface by a little more each time ([`iterated_search`](crate::lattice::iterated_search)).
