@@ -41,7 +41,7 @@ use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
 use crate::lattice::euler_ranges::EulerRanges;
 use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
 use crate::lattice::image_contacts::ImageContacts;
-use crate::lattice::interface_carving::{Carved, Extent, FillingRules, Pinches, carve, choose_fillings};
+use crate::lattice::interface_carving::{Carved, carve};
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::kept_components::KeptComponents;
 use crate::lattice::last_repair::LastRepair;
@@ -52,6 +52,7 @@ use crate::lattice::mesh_regions::{
 use crate::lattice::missed_voxels::mark_missed_voxels;
 use crate::lattice::mixed_elements::{self, SurfaceCount};
 use crate::lattice::options::Options;
+use crate::lattice::pinch_fillings::{Extent, FillingRules, Pinches, choose_fillings};
 use crate::lattice::progress_shares;
 use crate::lattice::red_green::{CHANGED, Elements, RedGreenLattice};
 use crate::lattice::region_gaps::elements_at_gaps;

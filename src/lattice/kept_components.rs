@@ -3,7 +3,7 @@
 //! # Method
 //! 1. Count the voxels of each component whose centres lie in elements of their label: all, but the mismatches.
 //! 2. Filling a group of vertices takes the parts of elements nearest to these, where the barycentric coordinates of the group's
-//!    vertices make up half or more ([`super::interface_carving`]); count the voxels there.
+//!    vertices make up half or more ([`super::pinch_fillings`]); count the voxels there.
 //! 3. A component of which all go is lost, unless its own label fills.
 //!
 //! # Source

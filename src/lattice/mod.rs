@@ -57,6 +57,7 @@ pub mod mixed_elements;
 #[cfg(test)]
 mod option_effects_tests;
 pub mod options;
+pub mod pinch_fillings;
 pub mod planned_batches;
 pub mod progress_shares;
 pub mod projected_gradient;

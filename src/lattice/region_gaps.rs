@@ -27,7 +27,7 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::face_adjacency::with_neighbors;
-use crate::lattice::interface_carving::Regions;
+use crate::lattice::pinch_fillings::Regions;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::voxel_fidelity::{Mismatch, for_each_voxel};
 

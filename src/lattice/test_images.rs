@@ -12,7 +12,8 @@ use crate::index::Label;
 use crate::lattice::bcc_lattice::{Field, LatticeFrame, PastBorder};
 use crate::lattice::centerlines::{Tube, TubeNode};
 use crate::lattice::deepest_segments::{BoundaryVoxels, depth_in_segment};
-use crate::lattice::red_green::RedGreenLattice;
+use crate::lattice::interface_topology::InterfaceTopology;
+use crate::lattice::red_green::{Elements, RedGreenLattice};
 
 /// An image of `n^3` voxels of 1 mm labelled by a function of the voxel centre.
 pub fn voxel_image(n: usize, label: impl Fn(DVec3) -> u16) -> LabelImage {
@@ -54,6 +55,16 @@ pub fn foam(n: usize) -> LabelImage {
 /// The components of all voxels of an image, the background too, through faces, edges and vertices.
 pub fn components_of(image: &LabelImage, context: &RunContext) -> Components {
     Components::new(image, Connectivity::Vertex, Members::All, context).unwrap()
+}
+
+/// What meets at the vertices of elements.
+pub fn topology_of<'a>(
+    lattice: &RedGreenLattice,
+    elements: &'a Elements,
+    neighbors: &'a [[u32; 4]],
+    context: &RunContext,
+) -> InterfaceTopology<'a> {
+    InterfaceTopology::new(&elements.tets, neighbors, lattice.vertices.positions.len(), context).unwrap()
 }
 
 /// Calls `work` with the coarsest lattice of an image, and a context of one thread.
