@@ -53,14 +53,15 @@ const NONE: u32 = u32::MAX;
 /// # Errors
 /// Those of [`neighbors_of`]; the mesh is lost then.
 pub fn clip_at_border(mesh: &mut CandidateMesh, surface: &SubvoxelSurface, context: &RunContext) -> Result<Vec<u8>> {
-    let planes: Vec<u8> = (0..6).filter(|plane| reaches(mesh, surface, *plane)).collect();
+    let borders: Vec<Plane> = (0..6).map(|number| plane_at(surface, number)).collect();
+    let planes: Vec<u8> = (0..6).filter(|number| reaches(mesh, borders[usize::from(*number)])).collect();
     if planes.is_empty() {
         return Ok(planes);
     }
-    let mut work = Clipping::new(mesh);
-    for plane in &planes {
+    let mut work = Clipping { borders, ..Clipping::new(mesh) };
+    for number in &planes {
         context.check()?;
-        work.clip(surface, *plane);
+        work.clip(work.borders[usize::from(*number)]);
     }
     let is_beyond = work.elements_beyond(surface);
     work.mark_changed();
@@ -69,17 +70,17 @@ pub fn clip_at_border(mesh: &mut CandidateMesh, surface: &SubvoxelSurface, conte
     Ok(planes)
 }
 
-/// Height of a point above a border plane, mm, outside of the image positive.
-fn height(point: DVec3, surface: &SubvoxelSurface, plane: u8) -> f64 {
-    let (axis, at) = surface.border(plane);
-    if plane.is_multiple_of(2) { at - point[axis] } else { point[axis] - at }
+/// The plane at a border of the image.
+fn plane_at(surface: &SubvoxelSurface, number: u8) -> Plane {
+    let (axis, at) = surface.border(number);
+    Plane { axis, at, is_low: number.is_multiple_of(2) }
 }
 
 /// Whether elements of the mesh cross a plane, and no fixed point lies beyond.
-fn reaches(mesh: &CandidateMesh, surface: &SubvoxelSurface, plane: u8) -> bool {
-    let is_beyond = |v: &VertexId| height(mesh.points[v.index()], surface, plane) > 0.0;
+fn reaches(mesh: &CandidateMesh, plane: Plane) -> bool {
+    let is_beyond = |v: &VertexId| plane.height(mesh.points[v.index()]) > 0.0;
     // Most often no point is beyond: they are looked at before the more numerous tets.
-    let is_passed = mesh.points.par_iter().with_min_len(4096).any(|point| height(*point, surface, plane) > 0.0);
+    let is_passed = mesh.points.par_iter().with_min_len(4096).any(|point| plane.height(*point) > 0.0);
     is_passed
         && mesh.tets.par_iter().with_min_len(4096).any(|tet| tet.iter().any(is_beyond))
         && !mesh.fixed.iter().any(is_beyond)
@@ -95,6 +96,8 @@ pub(super) struct Clipping {
     pub(super) changed: Vec<bool>,
     /// Whether an element may take another label.
     relabels: Vec<bool>,
+    /// Planes that vertices stay on or beside where they move for the angles.
+    pub(super) borders: Vec<Plane>,
 }
 
 impl Clipping {
@@ -109,13 +112,12 @@ impl Clipping {
         let mut fixed = vec![false; points.len()];
         mesh.fixed.iter().for_each(|v| fixed[v.index()] = true);
         let (changed, relabels) = (vec![false; points.len()], vec![false; tets.len()]);
-        Self { points, tets, labels, fixed, changed, relabels }
+        Self { points, tets, labels, fixed, changed, relabels, borders: Vec::new() }
     }
 
-    fn clip(&mut self, surface: &SubvoxelSurface, plane: u8) {
-        let (axis, at) = surface.border(plane);
-        let mut heights: Vec<f64> = self.points.par_iter().map(|p| height(*p, surface, plane)).collect();
-        for v in move_vertices(self, &mut heights, Plane { axis, at, is_low: plane.is_multiple_of(2) }) {
+    fn clip(&mut self, plane: Plane) {
+        let mut heights: Vec<f64> = self.points.par_iter().map(|p| plane.height(*p)).collect();
+        for v in move_vertices(self, &mut heights, plane) {
             self.changed[v] = true;
         }
         let mut cuts: FxHashMap<(u32, u32), u32> = FxHashMap::default();
@@ -130,7 +132,7 @@ impl Clipping {
                 continue;
             }
             let cut = |work: &mut Self, inner: u32, outer: u32| {
-                *cuts.entry((inner, outer)).or_insert_with(|| work.cut([inner, outer], &heights, axis, at))
+                *cuts.entry((inner, outer)).or_insert_with(|| work.cut([inner, outer], &heights, plane))
             };
             for piece in pieces(self, tet, &heights, cut) {
                 self.push(piece, label, true);
@@ -138,12 +140,22 @@ impl Clipping {
         }
     }
 
+    /// Where a vertex may go that is to move somewhere: not along an axis along which it would leave a border or pass through it.
+    pub(super) fn beside_borders(&self, from: DVec3, mut to: DVec3) -> DVec3 {
+        for plane in &self.borders {
+            if plane.height(from) * plane.height(to) <= 0.0 {
+                to[plane.axis] = from[plane.axis];
+            }
+        }
+        to
+    }
+
     /// Puts a vertex on an edge where it meets a plane.
-    fn cut(&mut self, edge: [u32; 2], heights: &[f64], axis: usize, at: f64) -> u32 {
+    fn cut(&mut self, edge: [u32; 2], heights: &[f64], plane: Plane) -> u32 {
         let [low, high] = edge.map(|v| heights[v as usize]);
         let [inner, outer] = edge.map(|v| self.points[v as usize]);
         let mut point = inner.lerp(outer, low / (low - high));
-        point[axis] = at;
+        point[plane.axis] = plane.at;
         self.points.push(point);
         self.fixed.push(false);
         self.changed.push(true);
@@ -311,11 +323,12 @@ pub(super) fn lowest_left(corners: [DVec3; 4], heights: [f64; 4], plane: Plane) 
         fixed: vec![false; 4],
         changed: vec![false; 4],
         relabels: Vec::new(),
+        borders: Vec::new(),
     };
     let left = match heights.iter().any(|height| *height > 0.0) {
-        true => pieces(&mut work, [0, 1, 2, 3], &heights, |work, inner, outer| {
-            work.cut([inner, outer], &heights, plane.axis, plane.at)
-        }),
+        true => {
+            pieces(&mut work, [0, 1, 2, 3], &heights, |work, inner, outer| work.cut([inner, outer], &heights, plane))
+        }
         false => vec![[0, 1, 2, 3]],
     };
     let scores = left.into_iter().map(|piece| tet_score(piece.map(|v| work.points[v as usize])));
