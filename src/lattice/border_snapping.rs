@@ -16,13 +16,17 @@
 //!      \ a / \ b /            itself in v, and what went through v be parted: v stays
 //! ```
 //! # Source
-//! [LabelleShewchuk2007] for the move onto the surface before the cut, which bounds the angles; [HookeJeeves1961] for the search. The topology is our own: what a plane
-//! that meets no vertex leaves of a body shrinks to what the vertices below span of it, so that only a vertex that changes sides can
-//! change it, and does not where what it is joined with shrinks to a point.
+//! [LabelleShewchuk2007] for the move onto the surface before the cut, which bounds the angles; [HookeJeeves1961] for the search. The
+//! topology is our own: what a plane that meets no vertex leaves of a body shrinks to what the vertices below span of it, so that only a
+//! vertex that changes sides can change it, and does not where what it is joined with shrinks to a point.
 //!
 //! # Limits
 //! Vertices that are on the plane already are not looked at, nor those with elements of one label only. Where two planes meet, elements
 //! with no vertex inside of both can still cross what is inside: refinement does not see what is left of them.
+//!
+//! # Cost
+//! Vertices that go away are taken one after the other, as each sees where those beside it went; where a plane has many, those that share
+//! no element could be taken at once.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -46,8 +50,8 @@ const LEAST_LEFT: f64 = 8.0;
 /// Parts of the way away from the plane that are tried: small elements beside a large one leave no room for all of it.
 const PARTS_AWAY: [f64; 4] = [1.0, 0.5, 0.25, 0.12];
 
-/// Times that vertices away from the plane are looked at: at first the others around are near it yet. The first goes along the normal only,
-/// which is enough for most.
+/// Times that vertices away from the plane are looked at: at first the others around are near it yet. The first goes along the normal
+/// only, which is enough for most.
 const PASSES_AWAY: usize = 4;
 
 /// Steps in any direction, as parts of all of the way along the normal: as far as an edge across the plane is long, at most.
@@ -78,7 +82,8 @@ impl Plane {
     }
 }
 
-/// Moves vertices onto a plane or away from it; `heights` are those of all vertices above it, which follow. Returns the vertices that moved.
+/// Moves vertices onto a plane or away from it; `heights` are those of all vertices above it, which follow. Returns the vertices that
+/// moved.
 pub(super) fn move_vertices(work: &mut Clipping, heights: &mut [f64], plane: Plane) -> Vec<usize> {
     let near = near(work, heights);
     let mut moves = near.clone();
