@@ -15,8 +15,8 @@
 //! The last elements of a piece of a label keep it, unless a surface pinches there otherwise: a component of one or two voxels may
 //! have no others.
 //!
-//! Planes are taken one after the other, each moves vertices along its normal only: edges and corners of the image come
-//! out exactly.
+//! Planes are taken one after the other, and vertices that move along one stay on the others or on their side of them: edges and corners
+//! of the image come out exactly.
 //!
 //! # Source
 //! [LabelleShewchuk2007] for the move onto the surface before the cut, which bounds the angles.

@@ -54,7 +54,8 @@ const PARTS_AWAY: [f64; 4] = [1.0, 0.5, 0.25, 0.12];
 /// only, which is enough for most.
 const PASSES_AWAY: usize = 4;
 
-/// Steps in any direction, as parts of all of the way along the normal: as far as an edge across the plane is long, at most.
+/// Steps in any direction, as parts of all of the way along the normal: the first is half as long as the elements reach far on the other
+/// side of the plane.
 const STEPS_ANYWHERE: [f64; 5] = [1.2, 0.6, 0.3, 0.15, 0.07];
 
 /// Steps of one length, at most.
@@ -77,6 +78,7 @@ impl Plane {
         if self.is_low { self.at - height } else { self.at + height }
     }
 
+    /// Height of a point above the plane, mm: beyond it positive.
     pub(super) fn height(&self, point: DVec3) -> f64 {
         if self.is_low { self.at - point[self.axis] } else { point[self.axis] - self.at }
     }
