@@ -13,7 +13,8 @@
 //! 5. Where surfaces are smoothed or checked, pinches are relabelled ([`super::interface_topology`]). Then refinement goes on for a
 //!    few rounds where a label is broken ([`super::region_gaps`]) or components of one are joined ([`super::region_joints`]), with
 //!    the check also where pinches are left and where a label has other tunnels than the image ([`super::topology_differences`]).
-//!    What still pinches is carved ([`super::interface_carving`]). Where the border of the image cuts the elements afterwards
+//!    Where one has when the rounds are over, passages that the mesh closes are opened ([`super::closed_passages`]). What still
+//!    pinches is carved ([`super::interface_carving`]). Where the border of the image cuts the elements afterwards
 //!    ([`super::border_clipping`]), what is left inside counts.
 //!
 //! A relabelling of 3 or 5 gives no two labels a contact that the image does not have ([`super::image_contacts`]).
@@ -37,6 +38,7 @@ use crate::image::label_image::LabelImage;
 use crate::index::Label;
 use crate::lattice::bcc_lattice::{Field, LatticeFrame, PastBorder};
 use crate::lattice::candidate_mesh::CandidateMesh;
+use crate::lattice::closed_passages::Passages;
 use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
 use crate::lattice::euler_ranges::EulerRanges;
 use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
@@ -562,9 +564,9 @@ impl Rounds<'_> {
             relabelled = RelabelledPinches { found, euler: None, left: None };
         }
         let context = self.context;
-        let topology = self.topology(lattice, &elements.tets, neighbors)?;
         let mut marked = vec![false; lattice.tets.len()];
         if limit.rounds_left > 0 {
+            let topology = self.topology(lattice, &elements.tets, neighbors)?;
             let known = match relabelled.euler.take() {
                 Some(known) => known,
                 None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
@@ -588,6 +590,8 @@ impl Rounds<'_> {
                 self.mark_refinable(lattice, elements, &across, limit.finest, &mut marked);
             }
             relabelled.euler = Some(known);
+        } else {
+            self.open_passages(lattice, elements, neighbors, &mut relabelled)?;
         }
         if marked.contains(&true) {
             // A few gaps must not refine the whole lattice.
@@ -597,6 +601,32 @@ impl Rounds<'_> {
         let (neighbors, found) = self.carve_pinches(lattice, elements, std::mem::take(neighbors), relabelled)?;
         let after = self.fill_unseen(lattice, elements, &neighbors, &found)?;
         Ok((marked, after.unwrap_or(found)))
+    }
+
+    /// Opens passages that the mesh closes; what is known of the elements follows.
+    fn open_passages(
+        &mut self,
+        lattice: &RedGreenLattice,
+        elements: &mut Elements,
+        neighbors: &[[u32; 4]],
+        relabelled: &mut RelabelledPinches,
+    ) -> Result<()> {
+        let context = self.context;
+        let topology = self.topology(lattice, &elements.tets, neighbors)?;
+        let mut euler = match relabelled.euler.take() {
+            Some(known) => known,
+            None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
+        };
+        let unchanged = elements.labels.clone();
+        let passages = Passages { lattice, topology: &topology, leaves: &elements.leaves };
+        let opened = self.report.timed("topology", || passages.open(&mut elements.labels, &mut euler, context))?;
+        if opened > 0 {
+            relabelled.found = self.recount(&relabelled.found, &unchanged, lattice, elements)?;
+            relabelled.left = None;
+        }
+        self.report.add("topology.opened_passages", opened as f64);
+        relabelled.euler = Some(euler);
+        Ok(())
     }
 
     /// Relabels pinched elements; returns the leaves to refine where components of labels are joined or broken, and the mismatches. When

@@ -77,6 +77,13 @@ impl EulerRanges {
         differing
     }
 
+    /// Whether a label is nearer to what is wanted than with other numbers, and none is farther.
+    pub fn is_nearer_than(&self, other: &Self) -> bool {
+        let distances = |of: &Self| (1..of.now.len() as u16).map(|l| of.distance(Label(l), [0; 2])).collect::<Vec<_>>();
+        let (here, there) = (distances(self), distances(other));
+        here != there && here.iter().zip(&there).all(|(here, there)| here <= there)
+    }
+
     /// Takes changes into account.
     pub fn add(&mut self, changes: &[(Label, EulerNumbers)]) {
         for (label, change) in changes {

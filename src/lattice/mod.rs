@@ -28,6 +28,7 @@ pub mod candidate_mesh;
 pub mod centerlines;
 pub mod change_log;
 pub mod chord_splits;
+pub mod closed_passages;
 pub mod deepest_segments;
 pub mod distance_spline;
 pub mod duplicated_interfaces;

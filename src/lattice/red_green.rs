@@ -86,7 +86,7 @@ pub struct RedGreenLattice<'a> {
 pub struct Elements {
     /// Vertices. 16 B / element.
     pub tets: Vec<[u32; 4]>,
-    /// Label at the centroid ([`Field::label_of_element`]). 2 B / element.
+    /// Label at the centroid ([`RedGreenLattice::label_at_centroid`]). 2 B / element.
     pub labels: Vec<Label>,
     /// The leaf each element comes from, increasing. 4 B / element.
     pub leaves: Vec<u32>,
@@ -137,6 +137,12 @@ impl<'a> RedGreenLattice<'a> {
     pub fn centroid(&self, tet: &[u32; 4]) -> DVec3 {
         let sum: IVec3 = tet.iter().map(|v| self.vertices.positions[*v as usize]).sum();
         self.frame.origin + 0.25 * self.frame.unit * sum.as_dvec3()
+    }
+
+    /// The label that an element of a leaf has by its centroid ([`Field::label_of_element`]).
+    #[inline]
+    pub fn label_at_centroid(&self, tet: &[u32; 4], leaf: u32) -> Label {
+        self.field.label_of_element(self.centroid(tet), self.leaf_edge(leaf))
     }
 
     /// Corners of a tet in the local frame, mm.
@@ -382,10 +388,9 @@ impl<'a> RedGreenLattice<'a> {
 
     fn push_elements(&self, t: usize, elements: &mut Elements) -> Result<()> {
         let corners = self.tets[t];
-        let edge = self.leaf_edge(t as u32);
         let mut push = |tet: [u32; 4]| {
             elements.tets.push(tet);
-            elements.labels.push(self.field.label_of_element(self.centroid(&tet), edge));
+            elements.labels.push(self.label_at_centroid(&tet, t as u32));
             elements.leaves.push(t as u32);
         };
         if self.levels[t] >= self.deepest {
