@@ -590,20 +590,19 @@ impl Rounds<'_> {
                 self.mark_refinable(lattice, elements, &across, limit.finest, &mut marked);
             }
             relabelled.euler = Some(known);
-        } else {
-            self.open_passages(lattice, elements, neighbors, &mut relabelled)?;
         }
         if marked.contains(&true) {
             // A few gaps must not refine the whole lattice.
             lattice.close_locally();
             return Ok((marked, relabelled.found));
         }
+        self.open_passages(lattice, elements, neighbors, &mut relabelled)?;
         let (neighbors, found) = self.carve_pinches(lattice, elements, std::mem::take(neighbors), relabelled)?;
         let after = self.fill_unseen(lattice, elements, &neighbors, &found)?;
         Ok((marked, after.unwrap_or(found)))
     }
 
-    /// Opens passages that the mesh closes; what is known of the elements follows.
+    /// Opens passages that the mesh closes, where a label has other tunnels than the image; what is known of the elements follows.
     fn open_passages(
         &mut self,
         lattice: &RedGreenLattice,
@@ -611,6 +610,9 @@ impl Rounds<'_> {
         neighbors: &[[u32; 4]],
         relabelled: &mut RelabelledPinches,
     ) -> Result<()> {
+        if relabelled.euler.as_ref().is_some_and(|known| known.all_out_of_reach().is_empty()) {
+            return Ok(());
+        }
         let context = self.context;
         let topology = self.topology(lattice, &elements.tets, neighbors)?;
         let mut euler = match relabelled.euler.take() {
