@@ -29,7 +29,8 @@
 //! Where elements are larger than voxels there is no passage to be seen.
 //!
 //! # Cost
-//! A look at all elements for each such label, and one for all passages. There are few such labels in the last round of refinement.
+//! Two looks at all elements for each such label, in parallel, and 2 bytes an element; then by the passages that are closed. There are
+//! few such labels when refinement is over.
 
 use glam::IVec3;
 use rayon::prelude::*;
