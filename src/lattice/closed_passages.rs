@@ -33,7 +33,6 @@
 //! few such labels when refinement is over.
 
 use glam::IVec3;
-use rayon::prelude::*;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::context::RunContext;
@@ -45,13 +44,11 @@ use crate::lattice::image_contacts::ImageContacts;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::red_green::RedGreenLattice;
 use crate::lattice::region_gaps::STEPS;
+use crate::lattice::topology_differences::over_elements;
 use crate::lattice::voxel_fidelity::voxels_of;
 
 /// Times that all passages are looked at: one can be opened only once another one is.
 const PASSES: usize = 4;
-
-/// Elements per parallel work item.
-const CHUNK: usize = 1024;
 
 /// What passages are looked for in.
 pub struct Passages<'a> {
@@ -103,8 +100,8 @@ impl Passages<'_> {
         Ok(opened)
     }
 
-    fn voxel_of(&self, element: u32) -> IVec3 {
-        self.lattice.field.nearest_voxel(self.lattice.centroid(&self.topology.tets[element as usize]))
+    fn voxel_of(&self, element: usize) -> IVec3 {
+        self.lattice.field.nearest_voxel(self.lattice.centroid(&self.topology.tets[element]))
     }
 
     fn is_of(&self, at: IVec3, label: Label) -> bool {
@@ -113,13 +110,11 @@ impl Passages<'_> {
 
     /// The voxels of a label that hold centroids of elements of others, and those of others that hold some of its own.
     fn disagreeing(&self, labels: &[Label], label: Label, context: &RunContext) -> Result<Vec<IVec3>> {
-        let disagrees = |e: u32| {
+        let disagrees = |e: usize| {
             let at = self.voxel_of(e);
-            Some(at).filter(|at| (labels[e as usize] == label) != self.is_of(*at, label))
+            Some(at).filter(|at| (labels[e] == label) != self.is_of(*at, label))
         };
-        let elements = (0..self.topology.tets.len() as u32).into_par_iter().with_min_len(CHUNK);
-        let found: Vec<IVec3> = context.until_cancelled(elements).filter_map(disagrees).collect();
-        context.check()?;
+        let found = over_elements(self.topology.tets.len(), disagrees, context)?;
         Ok(each_once_in_order(found.into_iter()))
     }
 
@@ -156,10 +151,8 @@ impl Passages<'_> {
         if near.is_empty() {
             return Ok(of_voxels);
         }
-        let voxel_of = |e: u32| Some((self.voxel_of(e), e)).filter(|(at, _)| near.contains(at));
-        let elements = (0..self.topology.tets.len() as u32).into_par_iter().with_min_len(CHUNK);
-        let found: Vec<(IVec3, u32)> = context.until_cancelled(elements).filter_map(voxel_of).collect();
-        context.check()?;
+        let voxel_of = |e: usize| Some((self.voxel_of(e), e as u32)).filter(|(at, _)| near.contains(at));
+        let found = over_elements(self.topology.tets.len(), voxel_of, context)?;
         found.into_iter().for_each(|(at, e)| of_voxels.entry(at).or_default().push(e));
         Ok(of_voxels)
     }
@@ -178,7 +171,8 @@ impl Passages<'_> {
         // Elements that changed, with their labels then, in this order.
         let mut changes = Vec::new();
         for &e in elements {
-            let label = lattice.label_at_centroid(&topology.tets[e as usize], leaves[e as usize]);
+            let edge = lattice.leaf_edge(leaves[e as usize]);
+            let label = lattice.label_at_centroid(&topology.tets[e as usize], edge);
             if label != labels[e as usize] {
                 euler.add(&topology.euler_changes(&[e], label, labels));
                 changes.push((e, std::mem::replace(&mut labels[e as usize], label)));

@@ -139,10 +139,10 @@ impl<'a> RedGreenLattice<'a> {
         self.frame.origin + 0.25 * self.frame.unit * sum.as_dvec3()
     }
 
-    /// The label that an element of a leaf has by its centroid ([`Field::label_of_element`]).
+    /// The label that an element of a leaf with a given edge, mm, has by its centroid ([`Field::label_of_element`]).
     #[inline]
-    pub fn label_at_centroid(&self, tet: &[u32; 4], leaf: u32) -> Label {
-        self.field.label_of_element(self.centroid(tet), self.leaf_edge(leaf))
+    pub fn label_at_centroid(&self, tet: &[u32; 4], edge: f64) -> Label {
+        self.field.label_of_element(self.centroid(tet), edge)
     }
 
     /// Corners of a tet in the local frame, mm.
@@ -388,9 +388,10 @@ impl<'a> RedGreenLattice<'a> {
 
     fn push_elements(&self, t: usize, elements: &mut Elements) -> Result<()> {
         let corners = self.tets[t];
+        let edge = self.leaf_edge(t as u32);
         let mut push = |tet: [u32; 4]| {
             elements.tets.push(tet);
-            elements.labels.push(self.label_at_centroid(&tet, t as u32));
+            elements.labels.push(self.label_at_centroid(&tet, edge));
             elements.leaves.push(t as u32);
         };
         if self.levels[t] >= self.deepest {

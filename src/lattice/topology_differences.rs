@@ -77,7 +77,7 @@ pub fn elements_at_differences(
         for_each_foreign_voxel(lattice, &elements.tets[e], own, |at, label| found.push((at, [label, own])));
         found
     };
-    let foreign: Vec<(IVec3, [Label; 2])> = over_elements(elements, of_element, context)?;
+    let foreign: Vec<(IVec3, [Label; 2])> = over_elements(elements.tets.len(), of_element, context)?;
     let of_label = |label: &Label| -> Result<Vec<IVec3>> {
         let concerned = foreign.iter().filter(|(_, labels)| labels.contains(label));
         let body = Body { image, label: *label };
@@ -92,17 +92,17 @@ pub fn elements_at_differences(
         for_each_voxel(lattice, &elements.tets[e], |at, _| any |= sought.contains(&at));
         any.then_some(e as u32)
     };
-    let met = over_elements(elements, holds, context)?;
+    let met = over_elements(elements.tets.len(), holds, context)?;
     Ok(with_neighbors(&met, neighbors))
 }
 
-/// What is found in each element, in order.
-fn over_elements<T: Send, I: IntoIterator<Item = T>>(
-    elements: &Elements,
+/// What is found in each of so many elements, in order.
+pub(super) fn over_elements<T: Send, I: IntoIterator<Item = T>>(
+    count: usize,
     find: impl Fn(usize) -> I + Sync + Send,
     context: &RunContext,
 ) -> Result<Vec<T>> {
-    let all = (0..elements.tets.len()).into_par_iter().with_min_len(CHUNK);
+    let all = (0..count).into_par_iter().with_min_len(CHUNK);
     let found = context.until_cancelled(all).flat_map_iter(find).collect();
     context.check()?;
     Ok(found)
