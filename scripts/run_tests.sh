@@ -5,6 +5,9 @@ cd "$(dirname "$0")/.."
 export CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-$PWD/target}
 # Tests need the release build soon rather than as fast as it gets: the same code, compiled in parts on all cores.
 export CARGO_PROFILE_RELEASE_CODEGEN_UNITS=16
+# Without inlining across the parts the library's tests take 58 s less to compile and 20 s more to run (measured: 290 + 104 s and
+# 232 + 125 s).
+export CARGO_PROFILE_RELEASE_LTO=off
 logs=$CARGO_TARGET_DIR/test-logs
 build=$CARGO_TARGET_DIR/cmake
 mkdir -p "$logs"

@@ -63,9 +63,7 @@ use crate::lattice::report::Report;
 use crate::lattice::stray_voxels::mark_stray_voxels;
 use crate::lattice::subdivision_criteria::{Deficit, Demands, Targets, finest_level, mark_leaves};
 use crate::lattice::topology_differences::elements_at_differences;
-use crate::lattice::voxel_fidelity::{
-    LabelCount, Mismatch, for_each_voxel, mismatches, mismatches_after, recounted, voxels_of,
-};
+use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, for_each_voxel, mismatches, mismatches_after, recounted};
 
 /// Rounds of refinement for the sake of topology: a pinch that comes from the image's own shape is gone after two or three
 /// (edges of 4 voxels become half a voxel), one that the lattice makes anew each time never goes. On an atlas of brain lobes the
@@ -491,17 +489,13 @@ impl Rounds<'_> {
         let unchanged = elements.labels.clone();
         let topology = self.topology(lattice, &elements.tets, neighbors)?;
         let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
-        let voxels_lost = |labels: &[Label], changed: &[u32], label: Label| {
-            let of_element = |e: &u32| voxels_of(lattice, &elements.tets[*e as usize], labels[*e as usize]);
-            contacts.allow(labels, changed, label).then(|| changed.iter().map(of_element).sum())
-        };
         let context = self.context;
         // What pinches without a repair, and the Euler numbers then.
         let mut unrepaired: Option<(Vec<u32>, Option<EulerRanges>)> = None;
         // Where the changes cost too many voxels all told, those that cost none remain.
         for (pass, most_lost) in [usize::MAX, 0].into_iter().enumerate() {
             let may_lose = |labels: &[Label], changed: &[u32], label: Label| {
-                voxels_lost(labels, changed, label).filter(|lost| *lost <= most_lost)
+                contacts.voxels_lost(labels, changed, label).filter(|lost| *lost <= most_lost)
             };
             let labels = &mut elements.labels;
             let wanted = self.input.region_threshold.map(|_| self.euler.as_slice());

@@ -45,10 +45,12 @@ use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::red_green::RedGreenLattice;
 use crate::lattice::region_gaps::STEPS;
 use crate::lattice::topology_differences::over_elements;
-use crate::lattice::voxel_fidelity::voxels_of;
 
 /// Times that all passages are looked at: one can be opened only once another one is.
 const PASSES: usize = 4;
+
+/// Voxels, or passages between them, from one look at whether the run is cancelled to the next.
+const VOXELS_PER_CHECK: usize = 4096;
 
 /// What passages are looked for in.
 pub struct Passages<'a> {
@@ -76,7 +78,8 @@ impl Passages<'_> {
             for label in euler.all_out_of_reach() {
                 let voxels = self.disagreeing(labels, label, context)?;
                 let of_voxels = self.elements_around(&voxels, context)?;
-                for passage in self.passages(&voxels, label) {
+                for (n, passage) in self.passages(&voxels, label, context)?.into_iter().enumerate() {
+                    context.check_every(VOXELS_PER_CHECK, n)?;
                     if euler.out_of_reach(label).is_none() {
                         break;
                     }
@@ -119,17 +122,18 @@ impl Passages<'_> {
     }
 
     /// The pairs of voxels with a common face, one of which is among some, that are both of a label or both not, each once.
-    fn passages(&self, voxels: &[IVec3], label: Label) -> Vec<[IVec3; 2]> {
+    fn passages(&self, voxels: &[IVec3], label: Label, context: &RunContext) -> Result<Vec<[IVec3; 2]>> {
         let known: FxHashSet<IVec3> = voxels.iter().copied().collect();
-        let from = |at: &IVec3| {
-            let at = *at;
-            let pairs = STEPS.into_iter().map(move |step| [at, at + step]);
-            let is_same = |[at, next]: &[IVec3; 2]| self.is_of(*at, label) == self.is_of(*next, label);
-            // The other one lists the pair too where it is among them.
-            let is_first = |[at, next]: &[IVec3; 2]| !known.contains(next) || at.to_array() < next.to_array();
-            pairs.filter(move |pair| is_same(pair)).filter(is_first).collect::<Vec<_>>()
-        };
-        voxels.iter().flat_map(from).collect()
+        let is_same = |[at, next]: &[IVec3; 2]| self.is_of(*at, label) == self.is_of(*next, label);
+        // The other one lists the pair too where it is among them.
+        let is_first = |[at, next]: &[IVec3; 2]| !known.contains(next) || at.to_array() < next.to_array();
+        let mut found = Vec::new();
+        for (n, at) in voxels.iter().enumerate() {
+            context.check_every(VOXELS_PER_CHECK, n)?;
+            let pairs = STEPS.into_iter().map(|step| [*at, *at + step]);
+            found.extend(pairs.filter(is_same).filter(is_first));
+        }
+        Ok(found)
     }
 
     /// Whether elements on the same side of a label as two voxels, each with its centroid in one of these, have a common face; true
@@ -145,15 +149,18 @@ impl Passages<'_> {
 
     /// The elements with their centroids in some voxels and two steps around these.
     fn elements_around(&self, voxels: &[IVec3], context: &RunContext) -> Result<ElementsOfVoxels> {
-        let next: FxHashSet<IVec3> = voxels.iter().flat_map(|at| places_around(*at)).collect();
-        let near: FxHashSet<IVec3> = next.iter().flat_map(|at| places_around(*at)).collect();
+        let next = grown(voxels, context)?;
+        let near = grown(&next, context)?;
         let mut of_voxels = ElementsOfVoxels::default();
         if near.is_empty() {
             return Ok(of_voxels);
         }
         let voxel_of = |e: usize| Some((self.voxel_of(e), e as u32)).filter(|(at, _)| near.contains(at));
         let found = over_elements(self.topology.tets.len(), voxel_of, context)?;
-        found.into_iter().for_each(|(at, e)| of_voxels.entry(at).or_default().push(e));
+        for (n, (at, e)) in found.into_iter().enumerate() {
+            context.check_every(VOXELS_PER_CHECK, n)?;
+            of_voxels.entry(at).or_default().push(e);
+        }
         Ok(of_voxels)
     }
 
@@ -183,8 +190,7 @@ impl Passages<'_> {
         }
         let contacts = ImageContacts::new(lattice, topology.tets, topology.neighbors);
         let may_take = |labels: &[Label], changed: &[u32], label: Label| {
-            let has_voxels = |e: &u32| voxels_of(lattice, &topology.tets[*e as usize], labels[*e as usize]) > 0;
-            (contacts.allow(labels, changed, label) && !changed.iter().any(has_voxels)).then_some(0)
+            contacts.voxels_lost(labels, changed, label).filter(|lost| *lost == 0)
         };
         let from = topology.vertices_of(elements);
         changes.append(&mut topology.repair_from(from, labels, Some(euler), context, may_take)?.changed);
@@ -202,6 +208,16 @@ impl Passages<'_> {
         }
         Ok(is_better)
     }
+}
+
+/// Some voxels and those around them.
+fn grown<'a>(voxels: impl IntoIterator<Item = &'a IVec3>, context: &RunContext) -> Result<FxHashSet<IVec3>> {
+    let mut all = FxHashSet::default();
+    for (n, at) in voxels.into_iter().enumerate() {
+        context.check_every(VOXELS_PER_CHECK, n)?;
+        all.extend(places_around(*at));
+    }
+    Ok(all)
 }
 
 /// Voxels along the rows of the image, each once.

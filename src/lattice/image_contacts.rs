@@ -27,6 +27,7 @@ use crate::lattice::bcc_lattice::{Field, floor_of};
 use crate::lattice::face_adjacency::OUTSIDE;
 use crate::lattice::interface_topology::{InterfaceTopology, labels_of};
 use crate::lattice::red_green::RedGreenLattice;
+use crate::lattice::voxel_fidelity::voxels_of;
 use crate::mesh::numbering::TET_FACES;
 
 /// A contact of the image counts up to this far from the face, in voxels along each axis: elements at boundaries are up to two
@@ -68,6 +69,13 @@ impl<'a> ImageContacts<'a> {
                     || touch_near(&self.lattice.field, self.center(*e, face), [label, other])
             })
         })
+    }
+
+    /// The voxels of their own labels that lie in elements and are lost to these when the elements take a label; `None` where these may
+    /// not ([`allow`](Self::allow)).
+    pub fn voxels_lost(&self, labels: &[Label], elements: &[u32], label: Label) -> Option<usize> {
+        let of_element = |e: &u32| voxels_of(self.lattice, &self.tets[*e as usize], labels[*e as usize]);
+        self.allow(labels, elements, label).then(|| elements.iter().map(of_element).sum())
     }
 
     /// The vertices of the breaches at some vertices, each once, in order.
