@@ -68,6 +68,7 @@ pub mod region_gaps;
 pub mod region_joints;
 pub mod report;
 pub mod scaffold;
+pub mod second_differences;
 pub mod short_edges;
 pub mod smooth_distance;
 pub mod smoothing;
@@ -98,6 +99,7 @@ pub mod vertex_optimization;
 pub mod vertex_order;
 pub mod vertex_table;
 pub mod volume_offsets;
+pub mod voxel_bricks;
 pub mod voxel_cleanup;
 pub mod voxel_fidelity;
 
