@@ -12,8 +12,8 @@
 //! A voxel that is not in the band has the value 0 and no differences. The same bits for any number of threads.
 //!
 //! # Cost
-//! 54 bytes per voxel of a brick; of bands four voxels thick three quarters of these are in the band. A step reads and writes 36 of
-//! them, or 60 for the variation.
+//! 60 bytes per voxel of a brick; of bands four voxels thick three quarters of these are in the band. A step reads and writes 40 of
+//! them, or 64 with the variation.
 
 use std::ops::Range;
 
@@ -23,7 +23,7 @@ use rayon::prelude::*;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::lattice::second_differences::{Around, BRICKS_PER_TASK, Energy, SecondDifferences, Sweep};
-use crate::lattice::voxel_bricks::{Bricks, WIDTH, lanes};
+use crate::lattice::voxel_bricks::{Bricks, WIDTH, lanes_of};
 
 /// Voxels per task.
 const CHUNK: usize = 8192;
@@ -133,7 +133,7 @@ impl<'a> Descent<'a> {
             let of_plane = |plane: usize, bending: Around| {
                 let bricks = bricks.of_planes(plane..plane + 1);
                 let rows = rows[bricks.start - start..][..bricks.len()].par_iter_mut().with_min_len(BRICKS_PER_TASK);
-                rows.zip(bricks).for_each(|(row, brick)| *row = self.differences.squares(brick, bending));
+                rows.enumerate().for_each(|(n, row)| *row = self.differences.squares(plane, n, bending));
             };
             self.differences.sweep((Energy::Bending, &self.values), planes.clone(), &mut work, context, of_plane)
         };
@@ -193,21 +193,20 @@ impl<'a> Descent<'a> {
         context: &RunContext,
     ) -> Result<Moved> {
         let Self { bricks, differences, values, low, high, ahead, next_ahead, .. } = self;
-        let (bricks, ahead) = (*bricks, ahead.as_slice());
-        let of_brick = |brick: usize, slopes: Around, own: &mut [f32; WIDTH], next: &mut [f32; WIDTH]| {
-            let slot = brick * WIDTH;
-            let of = |values: &[f32]| Vec4::from_array(*lanes(values, slot));
-            let (before, lead) = (Vec4::from_array(*own), of(ahead));
-            let moved = (lead - slopes.slopes(brick, bricks.beside(brick))).max(of(low)).min(of(high));
-            let changes = moved - before;
-            (*own, *next) = (moved.to_array(), (moved + carry * changes).to_array());
-            (((lead - moved) * changes).as_dvec4(), changes.abs())
-        };
-        let of_bricks = |first: usize, slopes: Around, rows: Values| {
+        let (bricks, ahead, low, high) = (*bricks, ahead.as_slice(), low.as_slice(), high.as_slice());
+        let of_bricks = |[start, first]: [usize; 2], slopes: Around, rows: Values| {
             let (mut uphill, mut largest) = (DVec4::ZERO, Vec4::ZERO);
-            for (n, (own, next)) in rows.values.iter_mut().zip(rows.next_ahead).enumerate() {
-                let (up, change) = of_brick(first + n, slopes, own, next);
-                (uphill, largest) = (uphill + up, largest.max(change));
+            let all = start + first..start + first + rows.values.len();
+            let [ahead, low, high] = [ahead, low, high].map(|values| lanes_of(values, all.clone()).iter());
+            let bounds = ahead.zip(low.zip(high)).zip(bricks.places(all));
+            let rows = rows.values.iter_mut().zip(rows.next_ahead).zip(bounds);
+            for (n, ((own, next), ((lead, (low, high)), places))) in rows.enumerate() {
+                let [before, lead, low, high] = [*own, *lead, *low, *high].map(Vec4::from_array);
+                let moved = (lead - slopes.slopes(first + n, places)).max(low).min(high);
+                let changes = moved - before;
+                (*own, *next) = (moved.to_array(), (moved + carry * changes).to_array());
+                uphill += ((lead - moved) * changes).as_dvec4();
+                largest = largest.max(changes.abs());
             }
             Moved { uphill: uphill.element_sum(), largest: largest.max_element() }
         };
@@ -220,12 +219,12 @@ impl<'a> Descent<'a> {
                 let within = range.start.saturating_sub(start)..range.end.saturating_sub(start);
                 let (values, next_ahead) = (&mut values[within.clone()], &mut next_ahead[within]);
                 if range.len() <= BRICKS_PER_TASK {
-                    moved.push(of_bricks(range.start, slopes, Values { values, next_ahead }));
+                    moved.push(of_bricks([range.start, 0], slopes, Values { values, next_ahead }));
                     return;
                 }
                 let rows = values.par_chunks_mut(BRICKS_PER_TASK).zip(next_ahead.par_chunks_mut(BRICKS_PER_TASK));
                 let of_task = |(task, (values, next_ahead)): (usize, (&mut [_], &mut [_]))| {
-                    of_bricks(range.start + task * BRICKS_PER_TASK, slopes, Values { values, next_ahead })
+                    of_bricks([range.start, task * BRICKS_PER_TASK], slopes, Values { values, next_ahead })
                 };
                 moved.extend(rows.enumerate().map(of_task).collect::<Vec<Moved>>());
             };

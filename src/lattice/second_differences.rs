@@ -29,7 +29,7 @@ use rayon::prelude::*;
 
 use crate::context::RunContext;
 use crate::error::Result;
-use crate::lattice::voxel_bricks::{Bricks, WIDTH, lanes};
+use crate::lattice::voxel_bricks::{BEFORE_PLANE, Bricks, WIDTH, lanes, lanes_of};
 
 /// Second differences of a voxel: xx, yy, zz, xy, xz, yz.
 pub const TERMS: usize = 6;
@@ -62,9 +62,6 @@ pub struct SecondDifferences<'a> {
     totals: Vec<Brick>,
 }
 
-/// Bricks in front of those of a plane: one before the one that stands for all that are not stored.
-const BEFORE_PLANE: usize = 2;
-
 /// A value for each second difference of the bricks of three planes in a row.
 #[derive(Default)]
 struct Rolling {
@@ -84,81 +81,63 @@ impl Rolling {
         &mut self.rows[plane % 3][BEFORE_PLANE..][..count]
     }
 
-    fn around(&self, bricks: &Bricks, plane: usize) -> Around<'_> {
-        let count = bricks.plane_count();
-        // No brick is in a plane that is not there.
-        let first = |plane: usize| bricks.of_planes(plane.min(count)..count).start.max(BEFORE_PLANE);
-        let view = |plane: usize, first: usize| Plane { rows: &self.rows[plane % 3], before: first - 1 };
-        let near = plane.checked_sub(1).map_or(view(plane + 2, BEFORE_PLANE), |near| view(near, first(near)));
-        Around { near, own: view(plane, first(plane)), far: view(plane + 1, first(plane + 1)) }
+    /// The planes around one. Where a plane is not there, no brick has a place in it but that in front.
+    fn around(&self, plane: usize) -> Around<'_> {
+        let [near, own, far] = [plane + 2, plane, plane + 1].map(|plane| self.rows[plane % 3].as_slice());
+        Around { near, own, far }
     }
 }
 
-/// A value for each second difference of the bricks of a plane.
-#[derive(Clone, Copy)]
-struct Plane<'a> {
-    rows: &'a [Brick],
-    /// The number of the brick before the first.
-    before: usize,
-}
-
-impl Plane<'_> {
-    /// The place of a brick, in front of all where it is not stored.
-    #[inline]
-    fn place(&self, brick: usize) -> usize {
-        brick.max(self.before) - self.before + (BEFORE_PLANE - 1)
-    }
-
-    #[inline]
-    fn at(&self, brick: usize) -> &Brick {
-        &self.rows[self.place(brick)]
-    }
-
-    /// What a brick has, and those before and after it.
-    #[inline]
-    fn three(&self, brick: usize) -> [&Brick; 3] {
-        let place = self.place(brick);
-        let [before, own, after] = self.rows[place - 1..].first_chunk().expect("a brick is last");
-        [before, own, after]
-    }
-}
-
-/// What there is for each second difference of the bricks of a plane, and of the planes before and after it.
+/// What there is for each second difference of the bricks of a plane, and of the planes before and after it, by their places.
 #[derive(Clone, Copy)]
 pub struct Around<'a> {
-    near: Plane<'a>,
-    own: Plane<'a>,
-    far: Plane<'a>,
+    near: &'a [Brick],
+    own: &'a [Brick],
+    far: &'a [Brick],
+}
+
+/// A brick, and those before and after it.
+#[inline]
+fn three(rows: &[Brick], place: usize) -> &[Brick; 3] {
+    // One check of the bounds for all.
+    rows[place - 1..].first_chunk().expect("a brick is last")
+}
+
+/// Written out: maps over arrays are not inlined into all loops over bricks.
+#[inline]
+fn wide([a, b, c, d, e, f]: [u32; 6]) -> [usize; 6] {
+    [a as usize, b as usize, c as usize, d as usize, e as usize, f as usize]
 }
 
 impl Around<'_> {
-    /// Slopes of an energy at the voxels of a brick, from its slopes by second differences: these transposed.
+    /// Slopes of an energy at the voxels of the n-th brick of the plane, from its slopes by second differences: these transposed.
+    /// `beside` are the places of the bricks beside it.
     #[inline]
-    pub fn slopes(&self, brick: usize, beside: [usize; 6]) -> Vec4 {
-        let [up, down, far, near, _, down_near] = beside.map(|slot| slot / WIDTH);
-        let [before, own, after] = self.own.three(brick);
-        let [down_before, down, _] = self.own.three(down);
-        let [near_before, near, _] = self.near.three(near);
+    pub fn slopes(&self, n: usize, beside: &[u32; 6]) -> Vec4 {
+        let [up, down, far, near, _, down_near] = wide(*beside);
+        let [before, own, after] = three(self.own, BEFORE_PLANE + n);
+        let [down_before, down, _] = three(self.own, down);
+        let [near_before, near, _] = three(self.near, near);
         let [xx, yy, zz, xy, xz, yz] = *own;
         let (next_x, before_x) = (shifted_back(xx, after[0]), shifted_on(xx, before[0]));
-        let (next_y, before_y) = (self.own.at(up)[1], down[1]);
-        let (next_z, before_z) = (self.far.at(far)[2], near[2]);
+        let (next_y, before_y) = (self.own[up][1], down[1]);
+        let (next_z, before_z) = (self.far[far][2], near[2]);
         let (xy_x, xy_y) = (shifted_on(xy, before[3]), down[3]);
         let (xz_x, xz_z) = (shifted_on(xz, before[4]), near[4]);
         let (xy_both, xz_both) = (shifted_on(xy_y, down_before[3]), shifted_on(xz_z, near_before[4]));
-        let (yz_y, yz_z, yz_both) = (down[5], near[5], self.near.at(down_near)[5]);
+        let (yz_y, yz_z, yz_both) = (down[5], near[5], self.near[down_near][5]);
         let straight = (next_x + before_x - 2.0 * xx) + (next_y + before_y - 2.0 * yy);
         let mixed = (xy - xy_x) - (xy_y - xy_both) + ((xz - xz_x) - (xz_z - xz_both));
         let rest = (next_z + before_z - 2.0 * zz) + ((yz - yz_y) - (yz_z - yz_both));
         (straight + mixed) + rest
     }
 
-    /// The bricks after and before one in x, y and z.
+    /// The n-th brick of the plane, and those after and before it in x, y and z.
     #[inline]
-    fn neighbors(&self, brick: usize, beside: [usize; 6]) -> [&Brick; 6] {
-        let [up, down, far, near, ..] = beside.map(|slot| slot / WIDTH);
-        let [before, _, after] = self.own.three(brick);
-        [after, before, self.own.at(up), self.own.at(down), self.far.at(far), self.near.at(near)]
+    fn star(&self, n: usize, beside: &[u32; 6]) -> (&Brick, [&Brick; 6]) {
+        let [up, down, far, near, ..] = wide(*beside);
+        let [before, own, after] = three(self.own, BEFORE_PLANE + n);
+        (own, [after, before, &self.own[up], &self.own[down], &self.far[far], &self.near[near]])
     }
 }
 
@@ -215,11 +194,11 @@ impl<'a> SecondDifferences<'a> {
             }
             let varies = energy == Energy::Variation && plane > first && plane <= count;
             if varies {
-                self.take_variation(plane - 1, bending.around(bricks, plane - 1), variation);
+                self.take_variation(plane - 1, bending.around(plane - 1), variation);
             }
             if let Some(visited) = plane.checked_sub(lag).filter(|plane| planes.contains(plane)) {
                 let slopes = if energy == Energy::Variation { &*variation } else { &*bending };
-                visit(visited, slopes.around(bricks, visited));
+                visit(visited, slopes.around(visited));
             }
         }
         Ok(())
@@ -227,58 +206,70 @@ impl<'a> SecondDifferences<'a> {
 
     /// The weighted second differences in a plane.
     fn take_bending(&self, values: &[f32], plane: usize, rows: &mut [Brick]) {
+        let all = self.bricks.of_planes(plane..plane + 1);
         let of = |slot: usize| Vec4::from_array(*lanes(values, slot));
-        over_plane(self.bricks, plane, rows, |brick, row| {
-            let (slot, [up, down, far, near, up_far, _]) = (brick * WIDTH, self.bricks.beside(brick));
-            let (own, x, before_x) = (of(slot), of(slot + 1), of(slot - 1));
-            let (y, before_y) = (of(up), of(down));
-            let (z, before_z) = (of(far), of(near));
-            let (xy, xz, yz) = (of(up + 1), of(far + 1), of(up_far));
-            let terms = lanes(&self.terms, slot);
-            let mut differences = [
-                x - 2.0 * own + before_x,
-                y - 2.0 * own + before_y,
-                z - 2.0 * own + before_z,
-                own - x - y + xy,
-                own - x - z + xz,
-                own - y - z + yz,
-            ];
-            for term in 0..TERMS {
-                differences[term] *= where_has(terms, term, self.weights[term]);
+        in_tasks(rows, |first, rows| {
+            let bricks = all.start + first..all.start + first + rows.len();
+            let terms = lanes_of(&self.terms, bricks.clone());
+            let places = bricks.clone().zip(self.bricks.beside(bricks));
+            for (row, (terms, (brick, beside))) in rows.iter_mut().zip(terms.iter().zip(places)) {
+                let (slot, [up, down, far, near, up_far, _]) = (brick * WIDTH, wide(*beside));
+                let (own, x, before_x) = (of(slot), of(slot + 1), of(slot - 1));
+                let (y, before_y) = (of(up), of(down));
+                let (z, before_z) = (of(far), of(near));
+                let (xy, xz, yz) = (of(up + 1), of(far + 1), of(up_far));
+                let mut differences = [
+                    x - 2.0 * own + before_x,
+                    y - 2.0 * own + before_y,
+                    z - 2.0 * own + before_z,
+                    own - x - y + xy,
+                    own - x - z + xz,
+                    own - y - z + yz,
+                ];
+                for term in 0..TERMS {
+                    differences[term] *= where_has(terms, term, self.weights[term]);
+                }
+                *row = differences;
             }
-            *row = differences;
         });
     }
 
     /// Slope of the variation by each second difference of a plane: what it differs by from those of the six neighbours.
     fn take_variation(&self, plane: usize, bending: Around, variation: &mut Rolling) {
+        let all = self.bricks.of_planes(plane..plane + 1);
         let rates = self.rates;
-        over_plane(self.bricks, plane, variation.of_plane(self.bricks, plane), |brick, row| {
-            let [after, before, up, down, far, near] = bending.neighbors(brick, self.bricks.beside(brick));
-            let (own_terms, totals) = (bending.own.at(brick), &self.totals[brick]);
-            for term in 0..TERMS {
-                let (own, total) = (own_terms[term], totals[term]);
-                let (x, before_x) = (shifted_back(own, after[term]), shifted_on(own, before[term]));
-                let along = rates[0] * (x + before_x) + rates[1] * (up[term] + down[term]);
-                let others = along + rates[2] * (far[term] + near[term]);
-                // What does not exist is 0 beside what does, and takes nothing from it.
-                row[term] = Vec4::select(total.cmpne(Vec4::ZERO), own * total - others, Vec4::ZERO);
+        in_tasks(variation.of_plane(self.bricks, plane), |first, rows| {
+            let bricks = all.start + first..all.start + first + rows.len();
+            let totals = self.totals[bricks.clone()].iter().zip(self.bricks.places(bricks));
+            for (n, (row, (totals, places))) in rows.iter_mut().zip(totals).enumerate() {
+                let (own, [after, before, up, down, far, near]) = bending.star(first + n, places);
+                for term in 0..TERMS {
+                    let (own, total) = (own[term], totals[term]);
+                    let (x, before_x) = (shifted_back(own, after[term]), shifted_on(own, before[term]));
+                    let along = rates[0] * (x + before_x) + rates[1] * (up[term] + down[term]);
+                    let others = along + rates[2] * (far[term] + near[term]);
+                    // What does not exist is 0 beside what does, and takes nothing from it.
+                    row[term] = Vec4::select(total.cmpne(Vec4::ZERO), own * total - others, Vec4::ZERO);
+                }
             }
         });
     }
 
-    /// For the voxels of a brick the squares of the differences of their second differences from those of the six neighbours, over the
-    /// weights of these, with the rates along the axes, and the sum of the rates of all that there are.
-    pub fn squares(&self, brick: usize, bending: Around) -> [Vec4; 2] {
-        let (slot, beside) = (brick * WIDTH, self.bricks.beside(brick));
+    /// For the voxels of the n-th brick of a plane the squares of the differences of their second differences from those of the six
+    /// neighbours, over the weights of these, with the rates along the axes, and the sum of the rates of all that there are.
+    pub fn squares(&self, plane: usize, n: usize, bending: Around) -> [Vec4; 2] {
+        let brick = self.bricks.of_planes(plane..plane + 1).start + n;
+        let (beside, places) = (self.bricks.beside(brick..brick + 1)[0], self.bricks.places(brick..brick + 1)[0]);
+        let (slot, [up, down, far, near, ..]) = (brick * WIDTH, wide(beside));
         let own_terms = lanes(&self.terms, slot);
         let mut sums = [Vec4::ZERO; 2];
-        let slots = [slot + 1, slot - 1, beside[0], beside[1], beside[2], beside[3]];
-        for (direction, other) in bending.neighbors(brick, beside).into_iter().enumerate() {
+        let slots = [slot + 1, slot - 1, up, down, far, near];
+        let (own, others) = bending.star(n, &places);
+        for (direction, other) in others.into_iter().enumerate() {
             let (rate, other_terms) = (self.rates[direction / 2], lanes(&self.terms, slots[direction]));
             let common: [u32; WIDTH] = std::array::from_fn(|l| own_terms[l] & other_terms[l]);
             for (term, weight) in self.weights.iter().enumerate() {
-                let own = bending.own.at(brick)[term];
+                let own = own[term];
                 let other = match direction {
                     0 => shifted_back(own, other[term]),
                     1 => shifted_on(own, other[term]),
@@ -293,16 +284,14 @@ impl<'a> SecondDifferences<'a> {
     }
 }
 
-/// Calls `work` for the bricks of a plane, with what it has for each.
-fn over_plane<T: Send>(bricks: &Bricks, plane: usize, rows: &mut [T], work: impl Fn(usize, &mut T) + Sync) {
-    let first = bricks.of_planes(plane..plane + 1).start;
-    let of_part = |first: usize, rows: &mut [T]| rows.iter_mut().enumerate().for_each(|(n, row)| work(first + n, row));
+/// Calls `work` for rows in tasks, with the number of the first of each.
+fn in_tasks<T: Send>(rows: &mut [T], work: impl Fn(usize, &mut [T]) + Sync) {
     if rows.len() <= BRICKS_PER_TASK {
         // Most planes: no time for a look at who else could work.
-        of_part(first, rows);
+        work(0, rows);
     } else {
-        let parts = rows.par_chunks_mut(BRICKS_PER_TASK).enumerate();
-        parts.for_each(|(part, rows)| of_part(first + part * BRICKS_PER_TASK, rows));
+        let tasks = rows.par_chunks_mut(BRICKS_PER_TASK).enumerate();
+        tasks.for_each(|(task, rows)| work(task * BRICKS_PER_TASK, rows));
     }
 }
 
@@ -334,7 +323,7 @@ fn terms_of(bricks: &Bricks) -> Vec<u32> {
     bricks.slots().iter().for_each(|slot| has[*slot as usize] = true);
     let mut terms = vec![0; has.len()];
     for slot in bricks.slots().iter().map(|slot| *slot as usize) {
-        let beside = bricks.beside(slot / WIDTH).map(|first| first + slot % WIDTH);
+        let beside = bricks.beside(slot / WIDTH..slot / WIDTH + 1)[0].map(|first| first as usize + slot % WIDTH);
         let [up, down, far, near, up_far, _] = beside;
         let [x, y, z] = [slot + 1, up, far].map(|slot| has[slot]);
         let pairs = [x && has[slot - 1], y && has[down], z && has[near]];
@@ -429,9 +418,10 @@ mod tests {
         let mut found = vec![f32::NAN; bricks.slot_count()];
         for planes in parts {
             let of_plane = |plane: usize, slopes: Around| {
-                for brick in bricks.of_planes(plane..plane + 1) {
-                    let of_brick = slopes.slopes(brick, bricks.beside(brick)).to_array();
-                    found[brick * WIDTH..][..WIDTH].copy_from_slice(&of_brick);
+                let of_plane = bricks.of_planes(plane..plane + 1);
+                for (n, places) in bricks.places(of_plane.clone()).iter().enumerate() {
+                    let of_brick = slopes.slopes(n, places).to_array();
+                    found[(of_plane.start + n) * WIDTH..][..WIDTH].copy_from_slice(&of_brick);
                 }
             };
             let mut work = Sweep::new(bricks, energy);

@@ -8,13 +8,14 @@
 //!       |  . . o o | o o o o | o . . .
 //!       x ->
 //! ```
-//! Bricks are stored row after row, plane after plane, so that those of a plane have numbers in a row.
+//! Bricks are stored row after row, plane after plane, so that those of a plane have numbers in a row. Their place in an array for a
+//! plane alone is behind [`BEFORE_PLANE`] bricks, the second of which stands for all that are not stored there too.
 //!
 //! # Invariants
 //! The first and the last voxel of a row of bricks are not in the band.
 //!
 //! # Cost
-//! 6 bytes per voxel of a brick, 4 per voxel of the band; of bands four voxels thick three quarters of the former are in the band.
+//! 12 bytes per voxel of a brick, 4 per voxel of the band; of bands four voxels thick three quarters of the former are in the band.
 
 use std::ops::Range;
 
@@ -24,6 +25,9 @@ pub const WIDTH: usize = 4;
 /// Bricks before the first, the second of which stands for all that are not stored; one more follows the last.
 const EMPTY_BRICKS: usize = 2;
 
+/// Bricks before the first of a plane, in an array for a plane alone; one more follows the last.
+pub const BEFORE_PLANE: usize = 2;
+
 /// First slot of a brick that is not stored.
 const EMPTY: u32 = WIDTH as u32;
 
@@ -32,6 +36,8 @@ const EMPTY: u32 = WIDTH as u32;
 pub struct Bricks {
     /// First slots of the bricks beside each: +y, -y, +z, -z, +y +z, -y -z.
     beside: Vec<[u32; 6]>,
+    /// Places of the same bricks in arrays for their planes.
+    places: Vec<[u32; 6]>,
     /// Slot of each voxel of the band, in order.
     slots: Vec<u32>,
     /// The first brick of each plane in z, and the end of the last.
@@ -61,13 +67,20 @@ impl Bricks {
         let stored_before = |plane: usize| stored.partition_point(|at| *at < plane * along * size[1]);
         bricks.planes.extend((0..=size[2]).map(|plane| EMPTY_BRICKS + stored_before(plane)));
         let steps = [[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1]];
-        bricks.beside.extend(stored.into_iter().map(|at| {
+        for at in stored {
             let [x, y, z] = [at % along, at / along % size[1], at / along / size[1]];
-            steps.map(|[up, far]| match (y.checked_add_signed(up), z.checked_add_signed(far)) {
-                (Some(y), Some(z)) if y < size[1] && z < size[2] => first_slots[x + along * (y + size[1] * z)],
-                _ => EMPTY,
-            })
-        }));
+            // First slots, and places in the planes.
+            let beside = steps.map(|[up, far]| match (y.checked_add_signed(up), z.checked_add_signed(far)) {
+                (Some(y), Some(z)) if y < size[1] && z < size[2] => {
+                    let slot = first_slots[x + along * (y + size[1] * z)];
+                    let place = slot as usize / WIDTH + BEFORE_PLANE;
+                    (slot, if slot == EMPTY { BEFORE_PLANE - 1 } else { place - bricks.planes[z] })
+                }
+                _ => (EMPTY, BEFORE_PLANE - 1),
+            });
+            bricks.beside.push(beside.map(|(slot, _)| slot));
+            bricks.places.push(beside.map(|(_, place)| place as u32));
+        }
         bricks.slots.extend(places.into_iter().map(|(brick, lane)| first_slots[brick] + lane as u32));
         bricks
     }
@@ -102,21 +115,33 @@ impl Bricks {
         if planes.is_empty() { 0..0 } else { self.planes[planes.start]..self.planes[planes.end] }
     }
 
-    /// First slots of the bricks beside one: +y, -y, +z, -z, +y +z, -y -z.
-    #[inline]
-    pub fn beside(&self, brick: usize) -> [usize; 6] {
-        // Written out: maps over arrays are not inlined into all loops over bricks.
-        let [a, b, c, d, e, f] = self.beside[brick - EMPTY_BRICKS];
-        [a as usize, b as usize, c as usize, d as usize, e as usize, f as usize]
+    /// First slots of the bricks beside some: +y, -y, +z, -z, +y +z, -y -z.
+    pub fn beside(&self, bricks: Range<usize>) -> &[[u32; 6]] {
+        &self.beside[within(bricks)]
+    }
+
+    /// Places of the bricks beside some, in the same order, in arrays for their planes.
+    pub fn places(&self, bricks: Range<usize>) -> &[[u32; 6]] {
+        &self.places[within(bricks)]
     }
 
     /// Slots of the voxels after and before one of the band along each axis.
     pub fn neighbors(&self, slot: u32) -> [[usize; 2]; 3] {
         let at = slot as usize;
-        let beside = self.beside(at / WIDTH);
-        let of = |brick: usize| beside[brick] + at % WIDTH;
+        let beside = self.beside[at / WIDTH - EMPTY_BRICKS];
+        let of = |brick: usize| beside[brick] as usize + at % WIDTH;
         [[at + 1, at - 1], [of(0), of(1)], [of(2), of(3)]]
     }
+}
+
+/// Numbers of some bricks, from the first stored one on; of none 0..0.
+fn within(bricks: Range<usize>) -> Range<usize> {
+    bricks.start.saturating_sub(EMPTY_BRICKS)..bricks.end.saturating_sub(EMPTY_BRICKS)
+}
+
+/// What an array by slots has for some bricks.
+pub fn lanes_of<T>(values: &[T], bricks: Range<usize>) -> &[[T; WIDTH]] {
+    &values.as_chunks().0[bricks]
 }
 
 /// What an array by slots has for a brick.
@@ -146,6 +171,14 @@ mod tests {
             assert!(bricks.of_planes(plane..plane + 1).contains(&brick));
             let at = [n % 9, n / 9 % 4, plane];
             let neighbors = bricks.neighbors(*slot);
+            let ([beside], [places]) = (bricks.beside(brick..brick + 1), bricks.places(brick..brick + 1)) else {
+                panic!()
+            };
+            for (n, (slot, place)) in beside.iter().zip(places).enumerate() {
+                let plane = [plane, plane, plane + 1, plane.wrapping_sub(1), plane + 1, plane.wrapping_sub(1)][n];
+                let expected = if *slot == EMPTY { 1 } else { 2 + *slot as usize / WIDTH - bricks.planes[plane] };
+                assert_eq!(*place as usize, expected);
+            }
             for (axis, stride) in [1, 9, 36].into_iter().enumerate() {
                 if at[axis] + 1 < size[axis] && is_in_band[n + stride] {
                     assert_eq!(Ok(neighbors[axis][0]), slot_of(n + stride));
