@@ -39,8 +39,8 @@
 //! Every voxel keeps its side up to the order of the spline. The same bits for any number of threads.
 //!
 //! # Cost
-//! About 150 bytes per voxel in the layers of the labels in work, 9 bytes per voxel kept; about 85 passes, up to 430 where voxels are
-//! no cubes; 185 and 830 for labels that are smooth. Parallel by labels and by chunks of voxels.
+//! About 110 bytes per voxel in the layers of the labels in work, 9 bytes per voxel kept; about 85 passes, up to 430 where voxels are
+//! no cubes; 185 and 830 for labels that are smooth. Parallel by labels, and by planes of the larger ones.
 //!
 //! # Limits
 //! Further than two layers from a boundary there is no value.
