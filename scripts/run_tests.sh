@@ -67,6 +67,34 @@ finished() {
     cat "$logs/$1.background.log"
     return $status
 }
+# kept NAME COMMAND...: runs a command within a background one; `step NAME told NAME` tells what it said once that is finished.
+kept() {
+    local name=$1 status=0
+    shift
+    "$@" > "$logs/$name.background.log" 2>&1 || status=$?
+    echo "$status" > "$logs/$name.status"
+}
+told() {
+    cat "$logs/$1.background.log"
+    return "$(cat "$logs/$1.status")"
+}
+# Python programs that compare with SimpleITK, meshio, Gmsh and others, and tests of the integrations, where their folder brings a
+# script for it; each is one check.
+python_checks=(tests/python/check_*.py)
+integrations=(integrations/*/run_tests.sh)
+name_of_integration() {
+    basename "$(dirname "$1")"
+}
+others() {
+    local script python=$CARGO_TARGET_DIR/python/bin/python
+    for script in "${python_checks[@]}"; do
+        kept "$(basename "$script" .py)" "$python" "$script" "$CARGO_TARGET_DIR/release/meshwright"
+    done
+    for script in "${integrations[@]}"; do
+        kept "$(name_of_integration "$script")" env MESHWRIGHT="$CARGO_TARGET_DIR/release/meshwright" PYTHON="$python" \
+            MESHWRIGHT_BUILD="$build" "$script"
+    done
+}
 read_cargo() {
     awk '/^test result:/ { good += $4; bad += $6 } END { print good + 0, bad + 0 }' "$1"
 }
@@ -93,25 +121,24 @@ step licences python3 scripts/third_party.py --check THIRD_PARTY.md
 step rustdoc env RUSTDOCFLAGS="-D warnings" cargo doc --locked --no-deps --lib --quiet
 step build finished build
 background ctest ctest --test-dir "$build" -j "$(nproc)" --output-on-failure --no-tests=error
+step python finished python
+# The library's tests leave a core free while the compiler reads the crate.
+rm -f "$logs"/*.status
+background others others
 counted library read_cargo library_tests
 # Tests from outside run the library that is built anyway.
 counted interfaces read_cargo cargo test --locked --no-fail-fast --release --bins --test '*'
 counted documentation read_cargo cargo test --locked --no-fail-fast --release --doc
 counted ctest read_ctest finished ctest
 step abi scripts/check_abi.sh
-
-# Python programs that compare with SimpleITK, meshio, Gmsh and others; each is one check.
-if step python finished python; then
-    for script in tests/python/check_*.py; do
-        step "$(basename "$script" .py)" "$CARGO_TARGET_DIR/python/bin/python" "$script" \
-            "$CARGO_TARGET_DIR/release/meshwright"
-    done
-fi
-# Tests of the integrations, where their folder brings a script for it.
-for script in integrations/*/run_tests.sh; do
-    name=$(basename "$(dirname "$script")")
-    step "$name" env MESHWRIGHT="$CARGO_TARGET_DIR/release/meshwright" PYTHON="$CARGO_TARGET_DIR/python/bin/python" \
-        MESHWRIGHT_BUILD="$build" "$script"
+finished others > /dev/null
+for script in "${python_checks[@]}"; do
+    name=$(basename "$script" .py)
+    step "$name" told "$name"
+done
+for script in "${integrations[@]}"; do
+    name=$(name_of_integration "$script")
+    step "$name" told "$name"
     grep -h "^SKIPPED" "$logs/$name.log" || true
 done
 
