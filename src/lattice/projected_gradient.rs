@@ -121,7 +121,7 @@ impl<'a> Descent<'a> {
     ///
     /// # Errors
     /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
-    pub fn roughness(&mut self, context: &RunContext) -> Result<Vec<f32>> {
+    pub fn roughness(&self, context: &RunContext) -> Result<Vec<f32>> {
         let (bricks, scale) = (self.bricks, self.scale);
         // Sums of the weighted squares, and of their weights, for the voxels of each brick.
         let mut by_brick = vec![[Vec4::ZERO; 2]; self.values.len() / WIDTH];
@@ -216,7 +216,7 @@ impl<'a> Descent<'a> {
             let mut moved = Vec::with_capacity(planes.len());
             let of_plane = |plane: usize, slopes: Around| {
                 let range = bricks.of_planes(plane..plane + 1);
-                let within = range.start.saturating_sub(start)..range.end.saturating_sub(start);
+                let within = range.start - start..range.end - start;
                 let (values, next_ahead) = (&mut values[within.clone()], &mut next_ahead[within]);
                 if range.len() <= BRICKS_PER_TASK {
                     moved.push(of_bricks([range.start, 0], slopes, Values { values, next_ahead }));
