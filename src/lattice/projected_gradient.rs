@@ -283,7 +283,7 @@ mod tests {
             }
         }
         let unknowns = [Unknown { value: 0.0, low: -1.0, high: 1.0 }; 729];
-        let mut descent = Descent::new(&bricks, &unknowns, SPACING, &context).unwrap();
+        let descent = Descent::new(&bricks, &unknowns, SPACING, &context).unwrap();
         context.cancel_token().cancel();
         assert!(matches!(descent.roughness(&context), Err(crate::Error::Cancelled)));
         let again = Descent::new(&bricks, &unknowns, SPACING, &context);
