@@ -22,6 +22,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::index::{TetFace, VertexId};
+use crate::parallel::pieces::pieces;
 use crate::parallel::shared_rows::SharedWords;
 
 /// Rows a thread takes at a time.
@@ -110,18 +111,12 @@ pub(super) fn renumber(halves: &mut Vec<[u32; 4]>, vertices: &VertexNames<'_>) {
 /// Parts of the vertices, one for each thread, with what of `entries` belongs to each: as many as `count` says of a range.
 fn parts<T>(
     vertices: usize,
-    mut entries: &mut [T],
+    entries: &mut [T],
     count: impl Fn(&Range<usize>) -> usize,
 ) -> Vec<(Range<usize>, &mut [T])> {
     let length = vertices.div_ceil(rayon::current_num_threads()).max(1);
-    let ranges = (0..vertices).step_by(length).map(|begin| begin..(begin + length).min(vertices));
-    let mut parts = Vec::new();
-    for range in ranges {
-        let (part, after) = entries.split_at_mut(count(&range));
-        parts.push((range, part));
-        entries = after;
-    }
-    parts
+    let ranges = || (0..vertices).step_by(length).map(|begin| begin..(begin + length).min(vertices));
+    ranges().zip(pieces(entries, ranges().map(|range| count(&range)))).collect()
 }
 
 /// The vertices of all rows that are not free, with their old numbers.

@@ -438,6 +438,16 @@ impl Rounds<'_> {
         Ok(topology)
     }
 
+    /// The Euler numbers of the labels, counted where they are not known.
+    fn euler_ranges(
+        &self,
+        known: Option<EulerRanges>,
+        topology: &InterfaceTopology,
+        labels: &[Label],
+    ) -> Result<EulerRanges> {
+        known.map_or_else(|| topology.euler_ranges(labels, &self.euler, self.context), Ok)
+    }
+
     /// Whether each vertex is inside of the image; `None` where all are, or nothing is cut at its border.
     fn inside(&self, lattice: &RedGreenLattice) -> Option<Vec<bool>> {
         let positions = lattice.vertices.positions.par_iter().with_min_len(CHUNK);
@@ -561,10 +571,7 @@ impl Rounds<'_> {
         let mut marked = vec![false; lattice.tets.len()];
         if limit.rounds_left > 0 {
             let topology = self.topology(lattice, &elements.tets, neighbors)?;
-            let known = match relabelled.euler.take() {
-                Some(known) => known,
-                None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
-            };
+            let known = self.euler_ranges(relabelled.euler.take(), &topology, &elements.labels)?;
             marked = self.mark_other_pieces(lattice, elements, neighbors, &relabelled.found, limit.finest)?;
             let others = known.all_out_of_reach();
             let has_settled = limit.rounds_left + PINCH_ROUNDS <= TOPOLOGY_ROUNDS;
@@ -609,10 +616,7 @@ impl Rounds<'_> {
         }
         let context = self.context;
         let topology = self.topology(lattice, &elements.tets, neighbors)?;
-        let mut euler = match relabelled.euler.take() {
-            Some(known) => known,
-            None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
-        };
+        let mut euler = self.euler_ranges(relabelled.euler.take(), &topology, &elements.labels)?;
         let unchanged = elements.labels.clone();
         let passages = Passages { lattice, topology: &topology, leaves: &elements.leaves };
         let opened = self.report.timed("topology", || passages.open(&mut elements.labels, &mut euler, context))?;
@@ -755,10 +759,7 @@ impl Rounds<'_> {
             };
             let extent = if round < CARVING_ROUNDS { Extent::NearLabel } else { Extent::Whole };
             let are_checked = self.input.region_threshold.is_some();
-            let known = match euler.take() {
-                Some(known) => known,
-                None => topology.euler_ranges(&elements.labels, &self.euler, context)?,
-            };
+            let known = self.euler_ranges(euler.take(), &topology, &elements.labels)?;
             let kept = KeptComponents::new(&self.components, &found);
             let rules =
                 FillingRules { regions: &joinable, euler: Some(euler.insert(known)), are_checked, extent, kept };

@@ -24,6 +24,7 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::lattice::second_differences::{Around, BRICKS_PER_TASK, Energy, SecondDifferences, Sweep};
 use crate::lattice::voxel_bricks::{Bricks, WIDTH, lanes_of};
+use crate::parallel::pieces::pieces;
 
 /// Voxels per task.
 const CHUNK: usize = 8192;
@@ -241,16 +242,10 @@ impl<'a> Descent<'a> {
 }
 
 /// What an array has for the bricks of parts one after another.
-fn split_by_parts<'a, T>(bricks: &Bricks, parts: &[Range<usize>], mut by_brick: &'a mut [T]) -> Vec<&'a mut [T]> {
-    let first = parts.first().map_or(0, |planes| bricks.of_planes(planes.clone()).start);
-    by_brick = &mut by_brick[first..];
-    let mut split = Vec::with_capacity(parts.len());
-    for planes in parts {
-        let (part, rest) = by_brick.split_at_mut(bricks.of_planes(planes.clone()).len());
-        split.push(part);
-        by_brick = rest;
-    }
-    split
+fn split_by_parts<'a, T>(bricks: &Bricks, parts: &[Range<usize>], by_brick: &'a mut [T]) -> Vec<&'a mut [T]> {
+    let ranges = || parts.iter().map(|planes| bricks.of_planes(planes.clone()));
+    let first = ranges().next().map_or(0, |range| range.start);
+    pieces(&mut by_brick[first..], ranges().map(|range| range.len()))
 }
 
 #[cfg(test)]

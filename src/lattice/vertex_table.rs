@@ -18,6 +18,8 @@ use glam::IVec3;
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
+use crate::parallel::pieces::pieces;
+
 /// No vertex at a position.
 const EMPTY: u32 = u32::MAX;
 
@@ -195,15 +197,10 @@ impl VertexTable {
         let numbers: Vec<Vec<u32>> = self.shards.par_iter_mut().zip(&answers).enumerate().map(set_numbers).collect();
         let begins = request_begins(&requests);
         let mut result = Inserted { rows: vec![[0; N]; rows], new: vec![NewVertex::default(); total as usize] };
-        let mut left = result.new.as_mut_slice();
-        let mut parts = Vec::with_capacity(chunk_count);
-        for (c, rows) in result.rows.chunks_mut(CHUNK).enumerate() {
-            let count: u32 = answers.iter().map(|a| a.ends[c] - a.begin(c)).sum();
-            let (part, rest) = left.split_at_mut(count as usize);
-            left = rest;
-            parts.push((c, rows, part));
-        }
-        parts.into_par_iter().for_each(|(c, rows, part)| {
+        let count = |c: usize| answers.iter().map(|a| (a.ends[c] - a.begin(c)) as usize).sum();
+        let chunks = result.rows.par_chunks_mut(CHUNK).enumerate();
+        let parts = pieces(&mut result.new, (0..chunks.len()).map(count));
+        chunks.zip(parts).for_each(|((c, rows), part)| {
             let mut made = part.iter_mut();
             for (s, answers) in answers.iter().enumerate() {
                 let new = &answers.new[answers.begin(c) as usize..answers.ends[c] as usize];

@@ -8,6 +8,7 @@ pub mod coloring;
 pub mod id_allocator;
 pub mod ordered_concat;
 pub mod ordered_reduce;
+pub mod pieces;
 pub mod pinning;
 pub mod shared_rows;
 pub mod speculative;

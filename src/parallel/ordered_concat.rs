@@ -10,19 +10,15 @@
 use bytemuck::Zeroable;
 use rayon::prelude::*;
 
+use crate::parallel::pieces::pieces;
+
 /// Appends the parts in their order.
 pub fn ordered_concat<T: Copy + Zeroable + Send + Sync>(parts: Vec<Vec<T>>) -> Vec<T> {
     let total = parts.iter().map(Vec::len).sum();
     // Pages of zeros, which the copies touch first.
     let mut all = bytemuck::allocation::zeroed_vec(total);
-    let mut left = all.as_mut_slice();
-    let mut pieces = Vec::with_capacity(parts.len());
-    for part in parts {
-        let (piece, rest) = left.split_at_mut(part.len());
-        left = rest;
-        pieces.push((piece, part));
-    }
-    pieces.into_par_iter().for_each(|(piece, part)| piece.copy_from_slice(&part));
+    let cut = pieces(&mut all, parts.iter().map(Vec::len));
+    cut.into_par_iter().zip(parts).for_each(|(piece, part)| piece.copy_from_slice(&part));
     all
 }
 

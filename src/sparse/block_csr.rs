@@ -12,6 +12,7 @@ use std::ops::Range;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
+use crate::parallel::pieces::pieces;
 use crate::sparse::pattern::Pattern;
 
 /// Rows that one task multiplies or assembles.
@@ -75,16 +76,12 @@ impl BlockCsr {
     pub fn fill_rows(&mut self, fill: impl Fn(&Pattern, Range<usize>, &mut [DMat3]) + Sync) {
         let Self { pattern, blocks } = self;
         let row_count = pattern.row_count();
-        let mut parts = Vec::with_capacity(row_count.div_ceil(ROW_CHUNK));
-        let mut rest: &mut [DMat3] = blocks;
-        for begin in (0..row_count).step_by(ROW_CHUNK) {
-            let end = (begin + ROW_CHUNK).min(row_count);
-            let (part, tail) = rest.split_at_mut(pattern.offsets()[end] - pattern.offsets()[begin]);
-            parts.push((begin..end, part));
-            rest = tail;
-        }
         let pattern: &Pattern = pattern;
-        parts.into_par_iter().for_each(|(rows, part)| fill(pattern, rows, part));
+        let chunk = |begin: usize| begin..(begin + ROW_CHUNK).min(row_count);
+        let chunks: Vec<Range<usize>> = (0..row_count).step_by(ROW_CHUNK).map(chunk).collect();
+        let count = |rows: &Range<usize>| pattern.offsets()[rows.end] - pattern.offsets()[rows.start];
+        let parts = pieces(blocks, chunks.iter().map(count));
+        chunks.into_par_iter().zip(parts).for_each(|(rows, part)| fill(pattern, rows, part));
     }
 
     /// `product = self * vector`.
