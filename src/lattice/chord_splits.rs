@@ -4,7 +4,7 @@
 //! 1. For each face between two labels, its middle and those of its edges are compared with the sub-voxel surface of these
 //!    labels. Edges whose middle is off by more than a tolerance are listed, and faces whose middle is farther off than those
 //!    of their edges, the farthest off first.
-//!    Edges of vessels are looked at where they are farthest off: creases pass anywhere.
+//!    Edges of vessels are looked at where they are farthest off: creases pass anywhere. Where the image ends there is no surface.
 //! 2. Each is split; the new vertex goes from the place towards the surface as far as the scores around it allow
 //!    ([`insert_between`]). Later rounds of the improvement bring it the rest of the way. The surface is met
 //!    across the face: a flat end of a vessel has its middle on the axis, where all of the wall is equally near.
@@ -37,6 +37,7 @@ use crate::lattice::planned_batches::{PlannedChange, Touched, change_in_order};
 use crate::lattice::subvoxel_surface::Side;
 use crate::lattice::surface_cuts::farthest_on_edge;
 use crate::lattice::surface_edge_flips::flip_surface_edge;
+use crate::mesh::numbering::sorted_edge;
 
 /// Parts of the way from the middle to the surface that are tried.
 const WAY: [f64; 5] = [1.0, 0.8, 0.6, 0.4, 0.2];
@@ -183,27 +184,33 @@ fn of_face(
     (tolerance, places): (f64, Places),
     is_wanted: &impl Fn(&[u32]) -> bool,
 ) -> [Option<(f64, Chord)>; 2] {
+    if mesh.is_border_face(v, face) {
+        return [None, None];
+    }
     let sides = mesh.labels_beside(face);
     let [w, u] = face.others;
-    // Every edge is found once, in both directions, where the faces beside it are taken around the same label.
+    // Every edge is found once, in both directions, where the faces beside it are taken around the same label; that of one face and
+    // one in a border plane in the direction that it has in the former.
     let next = if sides[0] < sides[1] { w } else { u };
+    let ends = sorted_edge(v, next);
+    let is_known = next < v && !is_at_border(mesh, ends);
     let at = |v: u32| mesh.points[v as usize];
     let off = |middle: DVec3| mesh.surface.depth(middle, sides[0], sides[1]).map(f64::abs);
     let edge = |v: u32, w: u32| off(at(v).midpoint(at(w)));
     let is_far = |off: &f64| *off > tolerance;
-    let along = (next > v && is_wanted(&[v, next])).then(|| {
-        let middle = edge(v, next)?;
-        let place = |eighths: u8| at(v).lerp(at(next), f64::from(eighths) / 8.0);
+    let along = (!is_known && is_wanted(&ends)).then(|| {
+        let [from, to] = ends;
+        let middle = edge(from, to)?;
+        let place = |eighths: u8| at(from).lerp(at(to), f64::from(eighths) / 8.0);
         let (far, eighths) = match places {
             Places::Farthest if middle > LEAST_MIDDLE * tolerance => {
                 farthest_on_edge(|eighths| off(place(eighths)).unwrap_or(0.0))
             }
             _ => (middle, 4),
         };
-        is_far(&far).then_some((far, Chord::Edge([v, next], eighths)))
+        is_far(&far).then_some((far, Chord::Edge(ends, eighths)))
     });
-    // Where all vertices are on a border plane the face lies in it.
-    let is_face_wanted = w > v && u > v && is_wanted(&[v, w, u]) && !is_in_border(mesh, [v, w, u]);
+    let is_face_wanted = w > v && u > v && is_wanted(&[v, w, u]);
     let across = is_face_wanted.then(|| {
         // The edges are measured for the few faces that are far off: this is asked of every face of the mesh.
         let middle = off((at(v) + at(w) + at(u)) / 3.0).filter(is_far)?;
@@ -213,8 +220,9 @@ fn of_face(
     [along.flatten(), across.flatten()]
 }
 
-fn is_in_border(mesh: &ImprovementMesh, [a, b, c]: [u32; 3]) -> bool {
-    mesh.sides(a).iter().any(|s| matches!(s, Side::Border(_)) && mesh.sides(b).contains(s) && mesh.sides(c).contains(s))
+/// Whether both ends of an edge lie in one border plane of the image.
+fn is_at_border(mesh: &ImprovementMesh, [a, b]: [u32; 2]) -> bool {
+    mesh.are_in_border([a, b, b])
 }
 
 /// Where a new vertex goes.
@@ -351,7 +359,7 @@ fn is_upright(mesh: &ImprovementMesh, v: u32) -> bool {
         let [w, u] = face.others;
         let outward = (at(w) - at(v)).cross(at(u) - at(v));
         // The normal leads into the first label of the pair; in a border plane there is no surface.
-        is_in_border(mesh, [v, w, u]) || normal.is_none_or(|normal| (outward.dot(normal) < 0.0) == (inner == pair[0]))
+        mesh.is_border_face(v, face) || normal.is_none_or(|normal| (outward.dot(normal) < 0.0) == (inner == pair[0]))
     })
 }
 
@@ -390,7 +398,7 @@ mod tests {
     use crate::image::label_image::LabelImage;
     use crate::lattice::options::{Options, PARAMETERS};
     use crate::lattice::test_images::voxel_image;
-    use crate::lattice::test_meshes::{with_edge_on_ball, with_fold};
+    use crate::lattice::test_meshes::{with_edge_on_ball, with_faces_in_border, with_fold};
     use crate::mesh::validation::check_mixed_mesh;
     use crate::parameters::ParameterSet;
 
@@ -431,6 +439,34 @@ mod tests {
                 assert_eq!(found.count(), 1, "{order:?}");
             });
         }
+    }
+
+    #[test]
+    fn an_edge_at_the_image_border_is_looked_at_where_a_surface_ends_there() {
+        for order in [[0, 1, 2, 3], [3, 2, 1, 0], [1, 3, 0, 2]] {
+            with_faces_in_border(order, |mut mesh| {
+                let context = RunContext::with_threads(1).unwrap();
+                mesh.refresh_stars(&context).unwrap();
+                let [a, b, c, d] = order;
+                let found = chords(&mesh, 0.3, &context).unwrap();
+                let count = |p: u32, q: u32| {
+                    let edge = Chord::Edge(sorted_edge(p, q), 4);
+                    found.iter().filter(|(_, chord)| *chord == edge).count()
+                };
+                assert_eq!([[a, c], [b, c], [a, d], [b, d]].map(|[p, q]| count(p, q)), [1; 4], "{order:?}");
+                // Both faces at this one are cuts through the label.
+                assert_eq!(count(a, b), 0, "{order:?}");
+                let is_of_border = |chord: &Chord| matches!(chord, Chord::Face(corners, _) if !corners.contains(&4));
+                assert!(!found.iter().any(|(_, chord)| is_of_border(chord)), "{order:?}");
+            });
+        }
+    }
+
+    #[test]
+    fn where_the_image_cuts_a_block_nothing_is_split() {
+        let (chords, _) = split(&voxel_image(16, |p| u16::from(p.z < 8.4)), |p| p.z - 8.5);
+        // 3621 where edges within the border planes count as chords of the surface near them.
+        assert_eq!(chords, 0.0);
     }
 
     #[test]

@@ -469,6 +469,19 @@ impl<'a> ImprovementMesh<'a> {
         [label(face.inner), face.outer.map_or(Label::BACKGROUND, label)]
     }
 
+    /// Whether three vertices lie in one border plane of the image, and so does a face between them.
+    pub fn are_in_border(&self, [a, b, c]: [u32; 3]) -> bool {
+        let has = |v: u32, side: &Side| self.sides(v).contains(side);
+        self.sides(a).iter().any(|side| matches!(side, Side::Border(_)) && has(b, side) && has(c, side))
+    }
+
+    /// Whether a face at a vertex is where the image ends: nothing is known of what is behind, and no surface passes there.
+    #[inline]
+    pub fn is_border_face(&self, v: u32, face: &SurfaceFace) -> bool {
+        let [w, u] = face.others;
+        face.outer.is_none() && self.are_in_border([v, w, u])
+    }
+
     /// Whether an edge lies on a surface: its tets differ in label or do not close around it.
     pub fn is_surface_edge(&self, a: u32, b: u32, shell: &[u32]) -> bool {
         if !(self.is_on_surface(a) && self.is_on_surface(b)) {

@@ -110,7 +110,8 @@ impl KnownCuts {
     pub fn farthest_around(&mut self, mesh: &ImprovementMesh, vertices: &[u32]) -> f64 {
         let mut parts: Vec<SurfacePart> = Vec::new();
         for v in vertices.iter().copied().filter(|v| mesh.is_on_surface(*v) && !mesh.ball(*v).is_empty()) {
-            for (at, face) in mesh.surface_faces(v).iter().enumerate() {
+            let faces = mesh.surface_faces(v);
+            for (at, face) in faces.iter().filter(|face| !mesh.is_border_face(v, face)).enumerate() {
                 let mut sides = mesh.labels_beside(face);
                 sides.sort_unstable();
                 if at == 0 {
@@ -151,7 +152,7 @@ impl KnownCuts {
 mod tests {
     use super::*;
     use crate::lattice::improvement_mesh::SurfaceFace;
-    use crate::lattice::test_meshes::with_edge_on_ball;
+    use crate::lattice::test_meshes::{with_edge_on_ball, with_faces_in_border};
 
     #[test]
     fn what_is_known_is_what_would_be_measured_again() {
@@ -188,6 +189,19 @@ mod tests {
             mesh.move_vertex(0, place);
             assert_eq!(known.farthest_around(&mesh, &corners), first);
             assert_eq!(known.farthest_around(&mesh, &[]), 0.0);
+        });
+    }
+
+    #[test]
+    fn faces_in_the_image_border_cut_nothing_off() {
+        with_faces_in_border([0, 1, 2, 3], |mesh| {
+            let labels = [Label(1), Label(0)];
+            let at_face =
+                |corners: [u32; 3]| face_cut(&mesh, corners, labels).max(depth(&mesh, mesh.points[0], labels));
+            let edges = [[0, 2], [0, 3], [0, 4], [2, 4], [3, 4]].map(|edge| edge_cut(&mesh, edge, labels));
+            let expected = edges.into_iter().fold(at_face([0, 2, 4]).max(at_face([0, 3, 4])), f64::max);
+            let found = KnownCuts::default().farthest_around(&mesh, &[0]);
+            assert!((found - expected).abs() < 1e-9 && found > 0.0, "{found} {expected}");
         });
     }
 

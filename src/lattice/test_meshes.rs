@@ -75,6 +75,17 @@ pub fn with_vertex_on_ball<T>([off, depth]: [f64; 2], work: impl FnOnce(Improvem
     with_tets(points, &[tets(1, 1), tets(2, 2)].concat(), &image, work)
 }
 
+/// Works on two tets with a face each in the border plane x = -0.5, on both sides of an edge between the first two of some vertices; 4 is
+/// inside of the image. The surface of their label is at z = 4.5, its corners in the plane between 0.5 above and 3.5 below.
+pub fn with_faces_in_border<T>([a, b, c, d]: [u32; 4], work: impl FnOnce(ImprovementMesh) -> T) -> T {
+    let at = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
+    let mut points = vec![at(1.5, 4.0, 3.0); 5];
+    let in_plane = [(a, at(-0.5, 3.0, 3.0)), (b, at(-0.5, 5.0, 3.0)), (c, at(-0.5, 4.0, 5.0)), (d, at(-0.5, 4.0, 1.0))];
+    in_plane.into_iter().for_each(|(v, point)| points[v as usize] = point);
+    let tets = [[a, b, c, 4], [a, b, d, 4]].map(|tet| (tet, Label(1)));
+    with_tets(points, &tets, &voxel_image(9, |p| u16::from(p.z < 4.5)), work)
+}
+
 /// Works on the tets around the edge 0 1 of a flat surface between label 1 below and label 2: the triangle to the vertex 2 lies
 /// upside down over that to the vertex 3, with a flat tet of label 2, the slot [`FOLDED`], between them. At the vertex 3 a tet of the
 /// label `beside` begins, one of the label `above` has the edge 2 3 across from the flat one.

@@ -154,7 +154,6 @@ fn volumes_of(mesh: &ImprovementMesh, labels: usize) -> Vec<f64> {
 
 /// Area between each pair of labels, mm^2, the background among them but not the image border; the stars are up to date.
 fn areas_between(mesh: &ImprovementMesh) -> Vec<((usize, usize), f64)> {
-    let is_border = |w: u32| mesh.sides(w).iter().any(|s| matches!(s, Side::Border(_)));
     let of_chunk = |chunk: usize| {
         let mut areas: FxHashMap<(usize, usize), f64> = FxHashMap::default();
         for v in chunk * SUM_CHUNK..((chunk + 1) * SUM_CHUNK).min(mesh.points.len()) {
@@ -163,7 +162,7 @@ fn areas_between(mesh: &ImprovementMesh) -> Vec<((usize, usize), f64)> {
             let star = mesh.stars().of(v).unwrap_or(&[]);
             for face in star.iter().filter(|face| face.others.iter().all(|w| *w > v)) {
                 let [a, b] = face.others;
-                if face.outer.is_none() && [v, a, b].into_iter().all(is_border) {
+                if mesh.is_border_face(v, face) {
                     continue;
                 }
                 let [p, q, r]: [DVec3; 3] = [v, a, b].map(|w| mesh.points[w as usize]);
