@@ -77,6 +77,23 @@ pub struct SurfaceFace {
     pub outer: Option<u32>,
 }
 
+impl SurfaceFace {
+    /// The face with its two tets, where there are two, seen from that of the smaller number; the vertices are in outward order seen from
+    /// `inner`.
+    pub fn seen_from_first(&self, [a, b]: [u32; 2], inner: u32, outer: Option<u32>) -> Self {
+        match outer {
+            Some(outer) if outer < inner => Self { others: [b, a], inner: outer, outer: Some(inner) },
+            _ => Self { others: [a, b], inner, outer },
+        }
+    }
+
+    /// What the faces of a vertex are in order of.
+    #[inline]
+    pub fn key(&self) -> u64 {
+        key_of(self.others)
+    }
+}
+
 /// The other vertices of some faces at a vertex, in order.
 pub fn neighbors_in(faces: &[SurfaceFace]) -> Vec<u32> {
     let mut near: Vec<u32> = faces.iter().flat_map(|face| face.others).collect();
@@ -445,7 +462,7 @@ impl<'a> ImprovementMesh<'a> {
         let outermost = open.iter().filter(is_of_mesh);
         faces.extend(outermost.map(|face| SurfaceFace { others: face.others, inner: face.tet, outer: None }));
         // The order of the tets at the vertex depends on how they came about.
-        faces[first..].sort_unstable_by_key(|face| key_of(face.others));
+        faces[first..].sort_unstable_by_key(SurfaceFace::key);
     }
 
     /// The surface face between two tets seen from either; `None` within a label.
@@ -516,6 +533,7 @@ impl<'a> ImprovementMesh<'a> {
                 |slot: &u32| Taken { slot: *slot, tet: self.tets[*slot as usize], label: self.labels[*slot as usize] };
             (old.iter().map(taken).collect::<Vec<Taken>>(), self.tets.len() as u32)
         });
+        self.invalidate_stars(old, new);
         for &t in old {
             self.take_from_balls(t);
             self.free.push(t);
@@ -535,6 +553,29 @@ impl<'a> ImprovementMesh<'a> {
             self.log.note_replacement(taken.into_iter(), filled);
         }
         slots
+    }
+
+    /// Stars that a replacement changes are out of date. Where some tets take the place of others, all of one label, the faces around the
+    /// group stay, and those within are on no surface before and after.
+    fn invalidate_stars(&mut self, old: &[u32], new: &[([u32; 4], Label)]) {
+        let label = old.first().and(new.first()).map(|(_, label)| *label);
+        let is_within = label.is_some()
+            && old.iter().all(|t| Some(self.labels[*t as usize]) == label)
+            && new.iter().all(|(_, of_new)| Some(*of_new) == label);
+        for &t in old {
+            let corners = self.tets[t as usize];
+            if is_within {
+                self.stars.invalidate_at(t, corners);
+            } else {
+                corners.into_iter().for_each(|v| self.stars.invalidate(v));
+            }
+        }
+        for v in new.iter().flat_map(|(tet, _)| *tet) {
+            // A vertex that has had no tets may have a star without faces.
+            if !is_within || self.balls[v as usize].is_empty() {
+                self.stars.invalidate(v);
+            }
+        }
     }
 
     /// Gives a tet another label; a vertex that no longer lies between two labels has no sides. Not within a trial.
@@ -557,7 +598,6 @@ impl<'a> ImprovementMesh<'a> {
 
     fn take_from_balls(&mut self, t: u32) {
         for v in std::mem::replace(&mut self.tets[t as usize], DEAD) {
-            self.stars.invalidate(v);
             let ball = &mut self.balls[v as usize];
             if let Some(at) = ball.iter().position(|u| *u == t) {
                 ball.swap_remove(at);
@@ -568,14 +608,17 @@ impl<'a> ImprovementMesh<'a> {
     fn fill(&mut self, slot: u32, tet: [u32; 4], label: Label) {
         self.tets[slot as usize] = tet;
         self.labels[slot as usize] = label;
+        self.stars.part_colors(tet);
         for v in tet {
-            self.stars.invalidate(v);
             self.balls[v as usize].push(slot);
         }
     }
 
     /// Undoes [`replace`](Self::replace), the last one: all tets get their slots again.
     fn put_back(&mut self, taken: &[Taken], filled: &[Filled]) {
+        let slots: Vec<u32> = filled.iter().map(|Filled { slot, .. }| *slot).collect();
+        let rows: Vec<([u32; 4], Label)> = taken.iter().map(|Taken { tet, label, .. }| (*tet, *label)).collect();
+        self.invalidate_stars(&slots, &rows);
         for Filled { slot, is_new } in filled.iter().rev() {
             self.take_from_balls(*slot);
             if *is_new {
@@ -633,6 +676,7 @@ impl<'a> ImprovementMesh<'a> {
     fn remove_last_vertex(&mut self) {
         debug_assert!(self.balls.last().is_some_and(Vec::is_empty));
         self.points.pop();
+        self.stars.truncate(self.points.len());
         self.balls.pop();
         self.side_set.pop();
         self.fixed.pop();

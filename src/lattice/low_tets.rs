@@ -248,42 +248,15 @@ fn sorted_edges(tet: [u32; 4]) -> [[u32; 2]; 6] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::index::Label;
     use crate::lattice::local_transformations::edge_split;
     use crate::lattice::test_images::voxel_image;
-    use crate::lattice::test_meshes::with_tets;
+    use crate::lattice::test_meshes::{shaken_block, with_tets};
 
     const WANTED: f64 = 25.0;
 
-    /// Cubes along an edge of a block.
-    const CUBES: u32 = 9;
-
-    /// A block of cubes of six tets each, whose inner vertices were shaken.
-    fn shaken_block() -> (Vec<DVec3>, Vec<([u32; 4], Label)>) {
-        let along = CUBES + 1;
-        let places = (0..along.pow(3)).map(|v| [v % along, v / along % along, v / along.pow(2)]);
-        let shake = |at: [u32; 3]| {
-            let turn = f64::from(at[0] + along * (at[1] + along * at[2]));
-            let is_inside = at.iter().all(|i| (1..CUBES).contains(i));
-            f64::from(u8::from(is_inside)) * 0.4 * DVec3::new(turn.sin(), (1.7 * turn).sin(), (2.9 * turn).cos())
-        };
-        let points = places.clone().map(|at| DVec3::from(at.map(f64::from)) + 1.0 + shake(at)).collect();
-        let steps = [1, along, along * along];
-        let orders = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]];
-        let of_cube = |[i, j, k]: [u32; 3]| {
-            let first = i + along * (j + along * k);
-            orders.map(|[a, b, c]| {
-                let [second, third] = [first + steps[a], first + steps[a] + steps[b]];
-                ([first, second, third, third + steps[c]], Label(1))
-            })
-        };
-        let cubes = places.filter(|at| at.iter().all(|i| *i < CUBES));
-        (points, cubes.flat_map(of_cube).collect())
-    }
-
     /// Raises the tets of a shaken block; what it is after, and how many transformations were made.
     fn raised(threads: usize, may_transform: bool) -> (Vec<DVec3>, Vec<[u32; 4]>, [usize; 4]) {
-        let (points, labelled) = shaken_block();
+        let (points, labelled) = shaken_block(0.4, |_| 1);
         with_tets(points, &labelled, &voxel_image(12, |_| 1), |mut mesh| {
             let context = RunContext::with_threads(threads).unwrap();
             let before = low_tets(&mesh, WANTED, &context).unwrap();
@@ -336,7 +309,7 @@ mod tests {
     #[test]
     fn tets_stay_the_same_where_only_vertices_may_move() {
         let (points, tets, counts) = raised(3, false);
-        let (before, labelled) = shaken_block();
+        let (before, labelled) = shaken_block(0.4, |_| 1);
         assert_eq!((points.len(), counts), (before.len(), [0; 4]));
         let sorted = |mut tet: [u32; 4]| {
             tet.sort_unstable();

@@ -1,12 +1,13 @@
 //! The surface faces at each vertex, kept as long as its tets stay, and colors for sweeps over surface vertices.
 //!
 //! # Method
-//! 1. A vertex is stale when a tet of it was replaced. [`SurfaceStars::refresh`] takes the faces of stale vertices anew, in
-//!    parallel, and appends them to one array; when most of that is out of date the array is made anew.
-//! 2. Stale vertices get the smallest color that no vertex they share a tet with has: vertices of one color can be moved at
-//!    the same time, since none is in the ball of another. Sweeps take the colors of a block of vertices after each other,
-//!    then those of the next block. Whom a vertex shares a tet with is found in parallel, for a block of vertices; then they are
-//!    colored in order.
+//! 1. A star is stale when a tet at one of its faces was replaced, or one at the vertex took another label. [`SurfaceStars::refresh`]
+//!    takes the faces of stale vertices anew, in parallel, and appends them to one array; when most of that is out of date the array
+//!    is made anew.
+//! 2. Vertices without a color get the smallest one that no vertex they share a tet with has: vertices of one color can be moved at
+//!    the same time, since none is in the ball of another. Of two that come into one tet with the same color one loses it. Sweeps take
+//!    the colors of a block of vertices after each other, then those of the next block. Whom a vertex shares a tet with is found in
+//!    parallel, for a block of vertices; then they are colored in order.
 //!
 //! # Invariants
 //! Stars and colors depend on the mesh and on the replacements so far, not on the number of threads.
@@ -74,13 +75,82 @@ impl SurfaceStars {
         Self { rows: vec![[0, STALE]; vertices], colors: vec![UNCOLORED; vertices], ..Self::default() }
     }
 
-    /// The tets of a vertex have changed.
+    /// The faces of a vertex have changed, or the tets at them.
     pub fn invalidate(&mut self, v: u32) {
         if let Some(row) = self.rows.get_mut(v as usize)
             && row[1] != STALE
         {
             self.live -= row[1] as usize;
             row[1] = STALE;
+        }
+    }
+
+    /// A tet is about to be replaced by others of its label: the faces that it lies at are out of date.
+    pub fn invalidate_at(&mut self, t: u32, corners: [u32; 4]) {
+        for v in corners {
+            if self.of(v).is_some_and(|star| star.iter().any(|face| face.inner == t || face.outer == Some(t))) {
+                self.invalidate(v);
+            }
+        }
+    }
+
+    /// Vertices have come into one tet: none keeps the color of another.
+    pub fn part_colors(&mut self, corners: [u32; 4]) {
+        let mut taken = [UNCOLORED; 4];
+        for (at, v) in corners.into_iter().enumerate() {
+            let Some(color) = self.colors.get_mut(v as usize) else { continue };
+            if *color != UNCOLORED && taken[..at].contains(color) {
+                *color = UNCOLORED;
+            }
+            taken[at] = *color;
+        }
+    }
+
+    /// The vertices from a number on are no more.
+    pub fn truncate(&mut self, vertices: usize) {
+        (vertices..self.rows.len()).for_each(|v| self.invalidate(v as u32));
+        self.rows.truncate(vertices);
+        self.colors.truncate(vertices);
+    }
+
+    /// Follows new numbers of vertices and tets, `old` the vertices in their new order.
+    pub fn renumber(&mut self, old: &[u32], new_vertices: &[u32], new_tets: &[u32]) {
+        let before = std::mem::replace(self, Self::new(old.len()));
+        let color = |v: &u32| before.colors.get(*v as usize).copied().unwrap_or(UNCOLORED);
+        self.colors = old.par_iter().with_min_len(CHUNK).map(color).collect();
+        let known: Vec<u32> = (0..old.len() as u32)
+            .into_par_iter()
+            .with_min_len(CHUNK)
+            .filter(|v| before.of(old[*v as usize]).is_some())
+            .collect();
+        let follow = |face: &SurfaceFace| {
+            let tet = |t: u32| new_tets[t as usize];
+            face.seen_from_first(face.others.map(|v| new_vertices[v as usize]), tet(face.inner), face.outer.map(tet))
+        };
+        let of_chunk = |vertices: &[u32]| {
+            let mut faces: Vec<SurfaceFace> = Vec::with_capacity(FACES_OF_VERTEX * vertices.len());
+            let count = |v: &u32| {
+                let first = faces.len();
+                faces.extend(before.of(old[*v as usize]).unwrap_or(&[]).iter().map(follow));
+                faces[first..].sort_unstable_by_key(SurfaceFace::key);
+                (faces.len() - first) as u32
+            };
+            (vertices.iter().map(count).collect(), faces)
+        };
+        let parts: Vec<(Vec<u32>, Vec<SurfaceFace>)> = known.par_chunks(CHUNK).map(of_chunk).collect();
+        self.append(&known, parts);
+    }
+
+    /// Appends the stars of some vertices, which come in parts: how many faces each vertex has, and the faces.
+    fn append(&mut self, vertices: &[u32], parts: Vec<(Vec<u32>, Vec<SurfaceFace>)>) {
+        for (vertices, (counts, faces)) in vertices.chunks(CHUNK).zip(parts) {
+            let mut first = self.faces.len() as u32;
+            for (v, count) in vertices.iter().zip(counts) {
+                self.rows[*v as usize] = [first, count];
+                first += count;
+            }
+            self.live += faces.len();
+            self.faces.extend(faces);
         }
     }
 
@@ -117,30 +187,23 @@ impl SurfaceStars {
             Ok((vertices.iter().map(count).collect::<Vec<u32>>(), faces))
         };
         let parts: Vec<(Vec<u32>, Vec<SurfaceFace>)> = stale.par_chunks(CHUNK).map(of_chunk).collect::<Result<_>>()?;
-        for (vertices, (counts, faces)) in stale.chunks(CHUNK).zip(parts) {
-            let mut first = self.faces.len() as u32;
-            for (v, count) in vertices.iter().zip(counts) {
-                self.rows[*v as usize] = [first, count];
-                first += count;
-            }
-            self.live += faces.len();
-            self.faces.extend(faces);
-        }
-        self.color(mesh, &stale, context)
+        self.append(&stale, parts);
+        let is_uncolored = |v: &u32| self.colors[*v as usize] == UNCOLORED && mesh.is_on_surface(*v);
+        let uncolored: Vec<u32> = (0..count as u32).into_par_iter().with_min_len(CHUNK).filter(is_uncolored).collect();
+        self.color(mesh, &uncolored, context)
     }
 
-    fn color(&mut self, mesh: &ImprovementMesh, stale: &[u32], context: &RunContext) -> Result<()> {
-        stale.iter().for_each(|v| self.colors[*v as usize] = UNCOLORED);
+    fn color(&mut self, mesh: &ImprovementMesh, uncolored: &[u32], context: &RunContext) -> Result<()> {
         if context.threads() < LEAST_THREADS {
             let mut open = Vec::new();
-            for (at, &v) in stale.iter().enumerate() {
+            for (at, &v) in uncolored.iter().enumerate() {
                 context.check_every(CHUNK, at)?;
                 // All before it have their colors.
                 self.colors[v as usize] = self.colors_beside(mesh, v, v, &mut open).first_free();
             }
             return Ok(());
         }
-        for block in stale.chunks(BLOCK) {
+        for block in uncolored.chunks(BLOCK) {
             let of_chunk = |vertices: &[u32]| {
                 context.check()?;
                 let mut open = Vec::new();
@@ -207,9 +270,10 @@ mod tests {
     use crate::index::{Label, VertexId};
     use crate::lattice::boundary_targets::SourcePoints;
     use crate::lattice::candidate_mesh::CandidateMesh;
+    use crate::lattice::local_transformations::{Transformation, TransformationCounts};
     use crate::lattice::subvoxel_surface::SubvoxelSurface;
     use crate::lattice::test_images::voxel_image;
-    use crate::lattice::test_meshes::{helix, with_tets};
+    use crate::lattice::test_meshes::{helix, shaken_block, with_tets};
     use glam::{DMat3, DVec3};
 
     fn agrees(stars: &SurfaceStars, mesh: &ImprovementMesh) {
@@ -245,6 +309,68 @@ mod tests {
         };
         assert!(colors(1).iter().filter(|color| **color != UNCOLORED).count() > 2000);
         assert_eq!(colors(1), colors(3));
+    }
+
+    /// Stars that are not stale are those that would be found anew, and no two vertices of a tet have one color.
+    fn holds(mesh: &ImprovementMesh) -> usize {
+        let known = |v: &u32| mesh.stars().of(*v).map(|star| (*v, star));
+        let stars = (0..mesh.points.len() as u32).filter_map(|v| known(&v));
+        let count = stars.map(|(v, star)| {
+            let mut faces = Vec::new();
+            mesh.append_surface_faces(v, &mut Vec::new(), &mut faces);
+            assert_eq!(star, faces, "{v}");
+        });
+        let count = count.count();
+        for tet in (0..mesh.tets.len() as u32).filter(|t| mesh.is_live(*t)).map(|t| mesh.tets[t as usize]) {
+            let color = |v: u32| mesh.stars().colors.get(v as usize).copied().unwrap_or(UNCOLORED);
+            let mut colors = tet.map(color);
+            colors.sort_unstable();
+            assert!(colors.windows(2).all(|pair| pair[0] != pair[1] || pair[0] == UNCOLORED), "{tet:?} {colors:?}");
+        }
+        count
+    }
+
+    #[test]
+    fn what_is_known_holds_after_transformations_trials_and_new_numbers() {
+        let (points, labelled) = shaken_block(0.2, |i| 1 + u16::from(i >= 5));
+        let image = voxel_image(12, |p| 1 + u16::from(p.x >= 6.0));
+        with_tets(points, &labelled, &image, |mut mesh| {
+            let context = RunContext::with_threads(1).unwrap();
+            mesh.refresh_stars(&context).unwrap();
+            let all = holds(&mesh);
+            let (mut counts, mut kept) = (TransformationCounts::default(), 0);
+            let mut transform = |mesh: &mut ImprovementMesh, step: usize| {
+                for t in (0..mesh.tets.len() as u32).step_by(step) {
+                    if mesh.is_live(t)
+                        && let Some(found) =
+                            mesh.with_scratch(|mesh, ball| Transformation::plan(mesh, t, 0.2, |_| false, ball))
+                    {
+                        found.make(mesh, &mut counts);
+                    }
+                }
+                kept += holds(mesh);
+            };
+            transform(&mut mesh, 31);
+            let trial = mesh.begin_trial();
+            transform(&mut mesh, 29);
+            mesh.take_back(trial);
+            holds(&mesh);
+            // Stars that were refreshed within a trial are none of the mesh before it.
+            let trial = mesh.begin_trial();
+            transform(&mut mesh, 23);
+            mesh.refresh_stars(&context).unwrap();
+            mesh.take_back(trial);
+            holds(&mesh);
+            mesh.refresh_stars(&context).unwrap();
+            transform(&mut mesh, 19);
+            let known = holds(&mesh);
+            mesh.renumber_along_curve(&mut CandidateMesh::default(), &context).unwrap();
+            assert_eq!(holds(&mesh), known);
+            mesh.refresh_stars(&context).unwrap();
+            agrees(mesh.stars(), &mesh);
+            let made = [counts.edge_removals, counts.contractions, counts.splits];
+            assert!(made.iter().all(|count| *count > 0) && all > 300 && kept > all, "{made:?} {all} {kept}");
+        });
     }
 
     #[test]

@@ -44,6 +44,34 @@ pub fn helix(count: u32) -> (Vec<DVec3>, Vec<([u32; 4], Label)>) {
     ((0..count + 3).map(|i| at(f64::from(i))).collect(), (0..count).map(tet).collect())
 }
 
+/// Cubes along an edge of a block.
+const CUBES: u32 = 9;
+
+/// A block of cubes of six tets each, whose inner vertices were shaken by up to `far` along each axis; the label by the position of the
+/// cube along x.
+pub fn shaken_block(far: f64, label: impl Fn(u32) -> u16) -> (Vec<DVec3>, Vec<([u32; 4], Label)>) {
+    let along = CUBES + 1;
+    let places = (0..along.pow(3)).map(|v| [v % along, v / along % along, v / along.pow(2)]);
+    let shake = |at: [u32; 3]| {
+        let turn = f64::from(at[0] + along * (at[1] + along * at[2]));
+        let is_inside = at.iter().all(|i| (1..CUBES).contains(i));
+        f64::from(u8::from(is_inside)) * far * DVec3::new(turn.sin(), (1.7 * turn).sin(), (2.9 * turn).cos())
+    };
+    let points = places.clone().map(|at| DVec3::from(at.map(f64::from)) + 1.0 + shake(at)).collect();
+    let steps = [1, along, along * along];
+    let orders = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]];
+    let of_cube = |[i, j, k]: [u32; 3]| {
+        let first = i + along * (j + along * k);
+        let label = Label(label(i));
+        orders.map(|[a, b, c]| {
+            let [second, third] = [first + steps[a], first + steps[a] + steps[b]];
+            ([first, second, third, third + steps[c]], label)
+        })
+    };
+    let cubes = places.filter(|at| at.iter().all(|i| *i < CUBES));
+    (points, cubes.flat_map(of_cube).collect())
+}
+
 /// Works on four tets around the edge 0 1 between points of a ball of 5 mm, two outside of it (label 2), two inside (label 1), in
 /// the given order of these; 0 and 1 are `half` rad from its top, the vertices 2 and 3 across 0.35 rad.
 pub fn with_edge_on_ball<T>(half: f64, order: [usize; 4], work: impl FnOnce(ImprovementMesh) -> T) -> T {

@@ -23,7 +23,6 @@ use crate::error::Result;
 use crate::geometry::spatial_sort::hilbert_order;
 use crate::lattice::candidate_mesh::{CandidateMesh, GONE};
 use crate::lattice::improvement_mesh::{ImprovementMesh, balls_of};
-use crate::lattice::surface_stars::SurfaceStars;
 use crate::mesh::renumbering::{gathered, number_by_key};
 
 /// Rows per parallel work item.
@@ -43,6 +42,8 @@ impl ImprovementMesh<'_> {
         old_vertices.iter().zip(0..).for_each(|(old, new)| new_of[*old as usize] = new);
         context.check()?;
         let old_tets = self.tets_by_vertex(&new_of, old_vertices.len());
+        let mut new_tet_of = vec![GONE; self.tets.len()];
+        old_tets.iter().zip(0..).for_each(|(old, new)| new_tet_of[*old as usize] = new);
         context.check()?;
         self.balls = Vec::new();
         context.check()?;
@@ -56,7 +57,7 @@ impl ImprovementMesh<'_> {
         self.tets.par_iter_mut().with_min_len(CHUNK).for_each(|tet| *tet = tet.map(|v| new_of[v as usize]));
         context.check()?;
         self.free.clear();
-        self.stars = SurfaceStars::new(self.points.len());
+        self.stars.renumber(&old_vertices, &new_of, &new_tet_of);
         self.balls = balls_of(&self.tets, self.points.len());
         mesh.renumber_records(&new_of);
         Ok(())
