@@ -78,9 +78,8 @@ pub struct SurfaceFace {
 }
 
 impl SurfaceFace {
-    /// The face with its two tets, where there are two, seen from that of the smaller number; the vertices are in outward order seen from
-    /// `inner`.
-    pub fn seen_from_first(&self, [a, b]: [u32; 2], inner: u32, outer: Option<u32>) -> Self {
+    /// A face of one or two tets by its vertices in outward order seen from `inner`, as it is seen from the tet of the smaller number.
+    pub fn seen_from_first([a, b]: [u32; 2], inner: u32, outer: Option<u32>) -> Self {
         match outer {
             Some(outer) if outer < inner => Self { others: [b, a], inner: outer, outer: Some(inner) },
             _ => Self { others: [a, b], inner, outer },
@@ -470,12 +469,11 @@ impl<'a> ImprovementMesh<'a> {
         if self.labels[one.tet as usize] == self.labels[other.tet as usize] {
             return None;
         }
-        let (first, second) = if one.tet < other.tet { (one, other) } else { (other, one) };
         // Behind a scaffold is the outside.
-        Some(match (self.part(first.tet), self.part(second.tet)) {
-            (Part::Mesh, Part::Mesh) => SurfaceFace { others: first.others, inner: first.tet, outer: Some(second.tet) },
-            (Part::Mesh, Part::Scaffold) => SurfaceFace { others: first.others, inner: first.tet, outer: None },
-            (Part::Scaffold, _) => SurfaceFace { others: second.others, inner: second.tet, outer: None },
+        Some(match (self.part(one.tet), self.part(other.tet)) {
+            (Part::Mesh, Part::Mesh) => SurfaceFace::seen_from_first(one.others, one.tet, Some(other.tet)),
+            (Part::Mesh, Part::Scaffold) => SurfaceFace::seen_from_first(one.others, one.tet, None),
+            (Part::Scaffold, _) => SurfaceFace::seen_from_first(other.others, other.tet, None),
         })
     }
 

@@ -125,7 +125,8 @@ impl SurfaceStars {
             .collect();
         let follow = |face: &SurfaceFace| {
             let tet = |t: u32| new_tets[t as usize];
-            face.seen_from_first(face.others.map(|v| new_vertices[v as usize]), tet(face.inner), face.outer.map(tet))
+            let others = face.others.map(|v| new_vertices[v as usize]);
+            SurfaceFace::seen_from_first(others, tet(face.inner), face.outer.map(tet))
         };
         let of_chunk = |vertices: &[u32]| {
             let mut faces: Vec<SurfaceFace> = Vec::with_capacity(FACES_OF_VERTEX * vertices.len());

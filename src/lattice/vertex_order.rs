@@ -3,7 +3,7 @@
 //! # Method
 //! 1. Vertices with tets get their rank along a Hilbert curve; those without are dropped.
 //! 2. Tets are sorted by the smallest rank of their vertices, by counting; dead slots are dropped.
-//! 3. The tets of each vertex are listed anew, in the order of the vertices.
+//! 3. The tets of each vertex are listed anew, in the order of the vertices; surface stars and colors follow the new numbers.
 //!
 //! New vertices and tets take numbers at the end: after a round of splits half of the vertices have tets far apart in memory.
 //!
@@ -14,7 +14,7 @@
 //! The mesh is the same up to numbers. The result does not depend on the number of threads.
 //!
 //! # Cost
-//! A sort of the vertices; the rest is linear, of which the counting and the lists of tets run on one thread.
+//! A sort of the vertices; the rest is linear, of which the counting, the new numbers and the lists of tets run on one thread.
 
 use rayon::prelude::*;
 
