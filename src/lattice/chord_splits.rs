@@ -184,10 +184,7 @@ fn of_face(
     (tolerance, places): (f64, Places),
     is_wanted: &impl Fn(&[u32]) -> bool,
 ) -> [Option<(f64, Chord)>; 2] {
-    if mesh.is_border_face(v, face) {
-        return [None, None];
-    }
-    let sides = mesh.labels_beside(face);
+    let Some(sides) = mesh.labels_beside(v, face) else { return [None, None] };
     let [w, u] = face.others;
     // Every edge is found once, in both directions, where the faces beside it are taken around the same label; that of one face and
     // one in a border plane in the direction that it has in the former.
@@ -349,7 +346,7 @@ fn is_upright(mesh: &ImprovementMesh, v: u32) -> bool {
     // Most vertices lie between two labels: one normal is asked for.
     let mut known = None;
     mesh.surface_faces(v).iter().all(|face| {
-        let [inner, outer] = mesh.labels_beside(face);
+        let Some([inner, outer]) = mesh.labels_beside(v, face) else { return true };
         let pair = [inner.min(outer), inner.max(outer)];
         let normal = match known {
             Some((of, normal)) if of == pair => normal,
@@ -358,8 +355,8 @@ fn is_upright(mesh: &ImprovementMesh, v: u32) -> bool {
         known = Some((pair, normal));
         let [w, u] = face.others;
         let outward = (at(w) - at(v)).cross(at(u) - at(v));
-        // The normal leads into the first label of the pair; in a border plane there is no surface.
-        mesh.is_border_face(v, face) || normal.is_none_or(|normal| (outward.dot(normal) < 0.0) == (inner == pair[0]))
+        // The normal leads into the first label of the pair.
+        normal.is_none_or(|normal| (outward.dot(normal) < 0.0) == (inner == pair[0]))
     })
 }
 

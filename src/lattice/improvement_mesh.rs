@@ -477,24 +477,20 @@ impl<'a> ImprovementMesh<'a> {
         })
     }
 
-    /// The labels on the inner and the outer side of a surface face.
+    /// The labels on the inner and the outer side of a surface face at a vertex; `None` where the image ends, since nothing is known of
+    /// what is behind and no surface passes there.
     #[inline]
-    pub fn labels_beside(&self, face: &SurfaceFace) -> [Label; 2] {
+    pub fn labels_beside(&self, v: u32, face: &SurfaceFace) -> Option<[Label; 2]> {
+        let [w, u] = face.others;
+        let is_border = face.outer.is_none() && self.are_in_border([v, w, u]);
         let label = |t: u32| self.labels[t as usize];
-        [label(face.inner), face.outer.map_or(Label::BACKGROUND, label)]
+        (!is_border).then(|| [label(face.inner), face.outer.map_or(Label::BACKGROUND, label)])
     }
 
     /// Whether three vertices lie in one border plane of the image, and so does a face between them.
     pub fn are_in_border(&self, [a, b, c]: [u32; 3]) -> bool {
         let has = |v: u32, side: &Side| self.sides(v).contains(side);
         self.sides(a).iter().any(|side| matches!(side, Side::Border(_)) && has(b, side) && has(c, side))
-    }
-
-    /// Whether a face at a vertex is where the image ends: nothing is known of what is behind, and no surface passes there.
-    #[inline]
-    pub fn is_border_face(&self, v: u32, face: &SurfaceFace) -> bool {
-        let [w, u] = face.others;
-        face.outer.is_none() && self.are_in_border([v, w, u])
     }
 
     /// Whether an edge lies on a surface: its tets differ in label or do not close around it.

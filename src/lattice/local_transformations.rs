@@ -430,9 +430,7 @@ fn surface_contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32, shell
         before.dot(after) > SMALLEST_NORMAL_COSINE
     };
     let stay = || faces.iter().filter(|f| !f.others.contains(&to));
-    let with = |v: u32, f: &SurfaceFace| {
-        (!mesh.is_border_face(v, f)).then(|| ([v, f.others[0], f.others[1]], mesh.labels_beside(f)))
-    };
+    let with = |v: u32, f: &SurfaceFace| Some(([v, f.others[0], f.others[1]], mesh.labels_beside(v, f)?));
     stay().all(|f| keeps_direction(&f))
         && !cuts_off(mesh, faces.iter().filter_map(|f| with(from, f)), stay().filter_map(|f| with(to, f)))
 }

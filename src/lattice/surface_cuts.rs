@@ -111,8 +111,8 @@ impl KnownCuts {
         let mut parts: Vec<SurfacePart> = Vec::new();
         for v in vertices.iter().copied().filter(|v| mesh.is_on_surface(*v) && !mesh.ball(*v).is_empty()) {
             let faces = mesh.surface_faces(v);
-            for (at, face) in faces.iter().filter(|face| !mesh.is_border_face(v, face)).enumerate() {
-                let mut sides = mesh.labels_beside(face);
+            let labelled = faces.iter().filter_map(|face| Some((face, mesh.labels_beside(v, face)?)));
+            for (at, (face, mut sides)) in labelled.enumerate() {
                 sides.sort_unstable();
                 if at == 0 {
                     parts.push(([v, NONE, NONE], sides));
@@ -162,14 +162,17 @@ mod tests {
             let first = known.farthest_around(&mesh, &corners);
             let at_vertex = |v: u32| {
                 let faces = mesh.surface_faces(v);
-                let of_face = |f: &SurfaceFace| ([v, f.others[0], f.others[1]], mesh.labels_beside(f));
-                let of_vertex = depth(&mesh, mesh.points[v as usize], mesh.labels_beside(&faces[0]));
+                let of_face = |f: &SurfaceFace| ([v, f.others[0], f.others[1]], mesh.labels_beside(v, f).unwrap());
+                let of_vertex = depth(&mesh, mesh.points[v as usize], mesh.labels_beside(v, &faces[0]).unwrap());
                 worst_cut(&mesh, faces.iter().map(of_face)).max(of_vertex)
             };
             assert!((first - corners.map(at_vertex).into_iter().fold(0.0, f64::max)).abs() < 1e-9, "{first}");
             // What is there before and after does not count; an edge of two faces counts once.
-            let faces: Vec<LabelledFace> =
-                mesh.surface_faces(0).iter().map(|f| ([0, f.others[0], f.others[1]], mesh.labels_beside(f))).collect();
+            let faces: Vec<LabelledFace> = mesh
+                .surface_faces(0)
+                .iter()
+                .map(|f| ([0, f.others[0], f.others[1]], mesh.labels_beside(0, f).unwrap()))
+                .collect();
             let new = |before: usize, after: &[LabelledFace]| {
                 worst_new_cut(&mesh, faces[..before].iter().copied(), after.iter().copied())
             };

@@ -161,13 +161,10 @@ fn areas_between(mesh: &ImprovementMesh) -> Vec<((usize, usize), f64)> {
             // Each face once, at its vertex of the smallest number.
             let star = mesh.stars().of(v).unwrap_or(&[]);
             for face in star.iter().filter(|face| face.others.iter().all(|w| *w > v)) {
+                let Some(labels) = mesh.labels_beside(v, face) else { continue };
                 let [a, b] = face.others;
-                if mesh.is_border_face(v, face) {
-                    continue;
-                }
                 let [p, q, r]: [DVec3; 3] = [v, a, b].map(|w| mesh.points[w as usize]);
-                let inner = mesh.labels[face.inner as usize].index();
-                let outer = face.outer.map_or(0, |o| mesh.labels[o as usize].index());
+                let [inner, outer] = labels.map(Label::index);
                 *areas.entry((inner.min(outer), inner.max(outer))).or_default() += (q - p).cross(r - p).length() / 2.0;
             }
         }
