@@ -41,7 +41,7 @@ use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::closed_passages::Passages;
 use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
 use crate::lattice::euler_ranges::EulerRanges;
-use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
+use crate::lattice::face_adjacency::{neighbors_after, neighbors_among, neighbors_of};
 use crate::lattice::image_contacts::ImageContacts;
 use crate::lattice::interface_carving::{Carved, carve};
 use crate::lattice::interface_topology::InterfaceTopology;
@@ -118,7 +118,7 @@ pub struct RefinementInput<'a> {
     pub region_threshold: Option<f64>,
 }
 
-/// Refines until every label has its fidelity and every component an element.
+/// Refines until every label has its fidelity and every component an element; the mesh, and the neighbours of its tets.
 ///
 /// # Errors
 /// Those of [`LatticeFrame::new`]; [`Error::Cancelled`], [`Error::LimitReached`].
@@ -127,7 +127,7 @@ pub fn refine(
     options: &Options,
     report: &mut Report,
     context: &RunContext,
-) -> Result<CandidateMesh> {
+) -> Result<(CandidateMesh, Vec<[u32; 4]>)> {
     context.progress("distance transform", progress_shares::BEGUN);
     let frame = LatticeFrame::new(input.image, input.spacing)?;
     // The components are found by one thread, while the others are at the distances.
@@ -152,27 +152,30 @@ pub fn refine(
         true => report.timed("topology", || euler_numbers(input.image, context))?,
         false => Vec::new(),
     };
-    let (elements, lost) = {
+    let (elements, neighbors, lost) = {
         let (face_components, last_repairs, lost) = (None, [None, None], Vec::new());
         let mut rounds =
             Rounds { input, components, totals, face_components, euler, smooths, lost, last_repairs, report, context };
-        (rounds.run(&mut lattice)?, rounds.lost)
+        let (elements, neighbors) = rounds.run(&mut lattice)?;
+        (elements, neighbors, rounds.lost)
     };
     report.set("lattice.level", f64::from(lattice.deepest_level()));
     report.set("lattice.spacing", input.spacing);
     let mut cubes = Vec::new();
     if options.mixed_elements || smooths {
-        let surface = if options.mixed_elements { SurfaceCount::Counted } else { SurfaceCount::Skipped };
+        let surface = if options.mixed_elements { SurfaceCount::Counted(&neighbors) } else { SurfaceCount::Skipped };
         cubes = report.timed("mixed_elements", || mixed_elements::find_cubes(&lattice, &elements, surface, context))?;
     }
     context.check()?;
     let mut mesh =
         report.timed("compaction", || mixed_elements::compact(&lattice, &elements, &cubes, smooths, context))?;
     mesh.lost = lost;
+    let is_labelled = |e: usize| !elements.labels[e].is_background();
+    let neighbors = report.timed("adjacency", || neighbors_among(&neighbors, is_labelled, context))?;
     // Giving memory back takes the system some time.
     rayon::join(|| drop(elements), || drop(lattice));
     context.check()?;
-    Ok(mesh)
+    Ok((mesh, neighbors))
 }
 
 /// Whether so many leaves are marked that the whole lattice is still being refined.
@@ -255,7 +258,8 @@ struct Known {
 }
 
 impl Rounds<'_> {
-    fn run(&mut self, lattice: &mut RedGreenLattice) -> Result<Elements> {
+    /// The elements in the end, and their neighbours.
+    fn run(&mut self, lattice: &mut RedGreenLattice) -> Result<(Elements, Vec<[u32; 4]>)> {
         let finest = finest_level(lattice, self.input.image);
         let is_checked = self.input.region_threshold.is_some();
         let mut topology_rounds = if is_checked { TOPOLOGY_ROUNDS } else { PIECE_ROUNDS };
@@ -328,7 +332,7 @@ impl Rounds<'_> {
                 if !marked.contains(&true) {
                     self.finish(&deficit, relabelled);
                     self.report.set("lattice.rounds", f64::from(round));
-                    return Ok(elements);
+                    return Ok((elements, neighbors));
                 }
                 elements.labels = by_centroid;
                 before = Some(RoundBefore { elements, found: at_centroid, neighbors });
@@ -544,7 +548,7 @@ impl Rounds<'_> {
     }
 
     /// Relabels loose regions and pinched elements; returns the leaves to refine where that was not enough, and
-    /// the mismatches. When nothing is to be refined any more, what still pinches is carved, and the neighbours are gone.
+    /// the mismatches. When nothing is to be refined any more, what still pinches is carved; the neighbours follow.
     fn make_manifold(
         &mut self,
         lattice: &mut RedGreenLattice,
@@ -598,8 +602,8 @@ impl Rounds<'_> {
             return Ok((marked, relabelled.found));
         }
         self.open_passages(lattice, elements, neighbors, &mut relabelled)?;
-        let (neighbors, found) = self.carve_pinches(lattice, elements, std::mem::take(neighbors), relabelled)?;
-        let after = self.fill_unseen(lattice, elements, &neighbors, &found)?;
+        let found = self.carve_pinches(lattice, elements, neighbors, relabelled)?;
+        let after = self.fill_unseen(lattice, elements, neighbors, &found)?;
         Ok((marked, after.unwrap_or(found)))
     }
 
@@ -630,7 +634,7 @@ impl Rounds<'_> {
     }
 
     /// Relabels pinched elements; returns the leaves to refine where components of labels are joined or broken, and the mismatches. When
-    /// nothing is to be refined any more, what still pinches is carved, and the neighbours are gone.
+    /// nothing is to be refined any more, what still pinches is carved; the neighbours follow.
     fn keep_pieces(
         &mut self,
         lattice: &mut RedGreenLattice,
@@ -650,7 +654,7 @@ impl Rounds<'_> {
             lattice.close_locally();
             return Ok((marked, relabelled.found));
         }
-        let (_, found) = self.carve_pinches(lattice, elements, std::mem::take(neighbors), relabelled)?;
+        let found = self.carve_pinches(lattice, elements, neighbors, relabelled)?;
         Ok((marked, found))
     }
 
@@ -724,14 +728,14 @@ impl Rounds<'_> {
         Ok(surplus)
     }
 
-    /// Carves what still pinches after a relabelling; returns neighbours and mismatches afterwards.
+    /// Carves what still pinches after a relabelling; returns the mismatches afterwards, the neighbours follow.
     fn carve_pinches(
         &mut self,
         lattice: &mut RedGreenLattice,
         elements: &mut Elements,
-        mut neighbors: Vec<[u32; 4]>,
+        neighbors: &mut Vec<[u32; 4]>,
         relabelled: RelabelledPinches,
-    ) -> Result<(Vec<[u32; 4]>, Vec<Mismatch>)> {
+    ) -> Result<Vec<Mismatch>> {
         let RelabelledPinches { mut found, mut euler, left } = relabelled;
         // In the first round all vertices, but those known not to pinch.
         let mut to_see: Option<Vec<bool>> = None;
@@ -742,7 +746,7 @@ impl Rounds<'_> {
         });
         for round in 1..=CARVING_ROUNDS {
             let context = self.context;
-            let topology = self.topology(lattice, &elements.tets, &neighbors)?;
+            let topology = self.topology(lattice, &elements.tets, neighbors)?;
             let breaches = to_see.as_deref();
             let candidates = [breaches, may_pinch.as_deref().or(breaches)];
             let pinches = Pinches::among(lattice, &elements.labels, &topology, candidates, context)?;
@@ -751,7 +755,7 @@ impl Rounds<'_> {
                 break;
             }
             let joinable = {
-                let regions = regions_of(&elements.labels, &neighbors, context)?;
+                let regions = regions_of(&elements.labels, neighbors, context)?;
                 let surplus = self.surplus(&regions)?;
                 let mut joinable = joinable_regions(elements, &regions, surplus);
                 number_by_image(&mut joinable, &regions, lattice, elements, &self.components, context)?;
@@ -773,9 +777,10 @@ impl Rounds<'_> {
             to_see = Some(pinches.to_see_after(lattice, elements, &numbers));
             drop((pinches, joinable));
             found = self.count_after(&found, &numbers, lattice, elements)?;
-            neighbors = self.neighbors(lattice, elements, Some(Known { numbers, neighbors }))?;
+            let known = Known { numbers, neighbors: std::mem::take(neighbors) };
+            *neighbors = self.neighbors(lattice, elements, Some(known))?;
         }
-        Ok((neighbors, found))
+        Ok(found)
     }
 
     fn finish(&mut self, deficit: &Deficit, relabelled: Relabelled) {

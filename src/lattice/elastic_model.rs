@@ -123,7 +123,7 @@ mod tests {
         let targets = Targets::new(&VALUES, &options).unwrap();
         let input =
             RefinementInput { image: &image, values: &VALUES, targets: &targets, spacing: 4.0, region_threshold: None };
-        refine(&input, &options, &mut Report::default(), context).unwrap()
+        refine(&input, &options, &mut Report::default(), context).unwrap().0
     }
 
     fn forces(matrix: &BlockCsr, points: &[DVec3], field: impl Fn(DVec3) -> DVec3) -> Vec<DVec3> {

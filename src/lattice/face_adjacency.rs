@@ -232,6 +232,27 @@ pub fn neighbors_after(
     Ok(neighbors)
 }
 
+/// The neighbours of those tets of which something holds, in their order and with the numbers that they have in it.
+///
+/// # Errors
+/// [`Error::Cancelled`], [`Error::LimitReached`].
+pub fn neighbors_among(
+    before: &[[u32; 4]],
+    is_kept: impl Fn(usize) -> bool + Sync + Send,
+    context: &RunContext,
+) -> Result<Vec<[u32; 4]>> {
+    let all = (0..before.len()).into_par_iter().with_min_len(CHUNK);
+    let kept: Vec<usize> = context.until_cancelled(all).filter(|t| is_kept(*t)).collect();
+    context.check()?;
+    let mut numbers = vec![OUTSIDE; before.len()];
+    (0..).zip(&kept).for_each(|(number, t)| numbers[*t] = number);
+    let number = |n: u32| if n == OUTSIDE { OUTSIDE } else { numbers[n as usize] };
+    let kept = context.until_cancelled(kept.par_iter().with_min_len(CHUNK));
+    let neighbors = kept.map(|t| before[*t].map(number)).collect();
+    context.check()?;
+    Ok(neighbors)
+}
+
 fn shared_by_many(side: u32) -> Error {
     Error::Internal { reason: format!("tet {} shares a face with more than one tet", side >> 2) }
 }
@@ -292,6 +313,21 @@ mod tests {
             }
             assert!(neighbors_of(&tets, vertices, &context).unwrap() == expected);
         }
+    }
+
+    #[test]
+    fn those_left_of_a_set_are_each_others_neighbours() {
+        let context = RunContext::with_threads(1).unwrap();
+        let (tets, vertices) = cube(4);
+        let neighbors = neighbors_of(&tets, vertices, &context).unwrap();
+        for step in [1, 2, 3, 5] {
+            let is_kept = |t: usize| t.is_multiple_of(step) || t % 7 == 1;
+            let left: Vec<[u32; 4]> = (0..tets.len()).filter(|t| is_kept(*t)).map(|t| tets[t]).collect();
+            let expected = neighbors_of(&left, vertices, &context).unwrap();
+            assert_eq!(neighbors_among(&neighbors, is_kept, &context).unwrap(), expected, "{step}");
+        }
+        context.cancel_token().cancel();
+        assert!(matches!(neighbors_among(&neighbors, |_| true, &context), Err(Error::Cancelled)));
     }
 
     #[test]

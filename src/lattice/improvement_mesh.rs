@@ -376,22 +376,20 @@ impl<'a> ImprovementMesh<'a> {
         })
     }
 
-    /// The tets on the other sides of all faces of `t`.
-    pub fn neighbors(&self, t: u32) -> [Option<u32>; 4] {
-        let tet = self.tets[t as usize];
-        let mut behind = [None; 4];
-        // All faces but that opposite to the first corner have it.
-        self.for_each_row(self.ball(tet[0]), |n, row| {
-            // A tet that shares all but one corner lies behind the face opposite to that.
-            match tet.map(|v| row.contains(&v)) {
-                [true, false, true, true] => behind[1] = Some(n),
-                [true, true, false, true] => behind[2] = Some(n),
-                [true, true, true, false] => behind[3] = Some(n),
-                _ => {}
+    /// The label on the other side of the face of `t` opposite to its corner `face`, that of the scaffold included; `None` where there is
+    /// nothing. Where the star of one of its vertices is up to date, most faces are known from that: it has all but those within a label.
+    pub fn label_behind(&self, t: u32, face: usize) -> Option<Label> {
+        let [a, b, c] = TET_FACES[face].map(|corner| self.tets[t as usize][corner]);
+        let label = |n: u32| self.labels[n as usize];
+        let key = key_of([b, c]);
+        match self.stars.of(a).map(|star| star.iter().find(|face| face.key() == key)) {
+            Some(None) if self.part(t) == Part::Mesh => Some(label(t)),
+            Some(Some(SurfaceFace { inner, outer: Some(outer), .. })) => {
+                Some(label(if *inner == t { *outer } else { *inner }))
             }
-        });
-        behind[0] = self.neighbor(t, 0);
-        behind
+            Some(Some(SurfaceFace { inner, outer: None, .. })) if *inner != t => Some(label(*inner)),
+            _ => self.neighbor(t, face).map(label),
+        }
     }
 
     /// Tets around an edge.

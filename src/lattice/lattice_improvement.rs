@@ -67,8 +67,11 @@ use crate::lattice::voxel_cleanup::CleanImage;
 /// off their surface, and 17 instead of 9 degrees between triangles of nested spheres.
 const RELAXATION_BOUNDS: [f64; 5] = [4.0, 5.0, 8.0, 15.2, 15.2];
 
-/// Rounds of relaxation and optimisation.
-const ROUNDS: usize = RELAXATION_BOUNDS.len();
+/// The same for images of several labels that are no vessels, whose surfaces follow the staircase in many places anyway. On an atlas of
+/// brain lobes the mean angle between surface triangles is 17.5 degrees with five rounds, 17.8 with these, 18.9 with three (4, 15.2, 15.2);
+/// 95 % of it are within 0.501, 0.505, 0.511 voxel; a round takes 4 % of the time. Balls within balls have a volume error of 0.05, 0.12
+/// and 0.17 %: what is smooth has one label most often, and more rounds.
+const RELAXATION_BOUNDS_OF_LABELS: [f64; 4] = [4.0, 8.0, 15.2, 15.2];
 
 /// Rounds in which surface edges are split where they cut off what bends, and how far off their middles are then, in voxels of
 /// the smallest spacing. The second one splits the halves of thin rings again. On vessels of 1.5 to 4 voxels radius the
@@ -238,10 +241,13 @@ pub fn improve(
     context: &RunContext,
 ) -> Result<ImprovementSummary> {
     let mut summary = ImprovementSummary::default();
+    let has_vessels = surface.has_mostly_vessels();
+    let is_alone = clean.image.label_count() <= 2;
+    let bounds: &[f64] = if has_vessels || is_alone { &RELAXATION_BOUNDS } else { &RELAXATION_BOUNDS_OF_LABELS };
+    let rounds = bounds.len();
     let voxel = clean.image.grid().spacing().min_element();
     let slack = SLACK * voxel;
     let wanted = WANTED.max(options.min_dihedral_angle);
-    let has_vessels = surface.has_mostly_vessels();
     let beyond =
         RelabellingBounds { tolerance: BEYOND * voxel, causes: Causes::All, one_inside: has_vessels, least_score: 0.0 };
     // Later nothing raises the score of what joins the mesh.
@@ -253,17 +259,17 @@ pub fn improve(
     summary.low_before = low_tets(&work, wanted, context)?.len();
     let advance = |passes: usize| {
         let shares = (progress_shares::DEFORMED, progress_shares::IMPROVED);
-        context.progress("improvement", progress_shares::within(shares, passes, ROUNDS + 2));
+        context.progress("improvement", progress_shares::within(shares, passes, rounds + 2));
     };
-    for round in 0..ROUNDS {
+    for (round, &bound) in bounds.iter().enumerate() {
         advance(round);
         if RENUMBERED_ROUNDS.contains(&round) {
             work.renumber_along_curve(mesh, context)?;
             context.check()?;
         }
         let may_transform = options.transformations == Transformations::Local;
-        let surfaces = if round + YIELDING_ROUNDS >= ROUNDS { Surfaces::MayYield } else { Surfaces::Stay };
-        let low = relax_all(&mut work, RELAXATION_BOUNDS[round], wanted, context)?;
+        let surfaces = if round + YIELDING_ROUNDS >= rounds { Surfaces::MayYield } else { Surfaces::Stay };
+        let low = relax_all(&mut work, bound, wanted, context)?;
         let effort = Effort { wanted, surfaces, slack };
         if may_transform {
             loosen_all(&mut work, context)?;
@@ -274,13 +280,13 @@ pub fn improve(
         if may_transform && CHORD_ROUNDS.contains(&round) {
             work.refresh_stars(context)?;
             let chord = if has_vessels { VESSEL_CHORD } else { CHORD };
-            summary.counts.chords += split_chords(&mut work, chord * voxel, RELAXATION_BOUNDS[round], context)?;
+            summary.counts.chords += split_chords(&mut work, chord * voxel, bound, context)?;
         }
         let counts = may_transform.then_some(&mut summary.counts);
         Raising::new(effort, InVain::Forgotten, counts).sweep(&mut work, low, context)?;
         let approaches = APPROACH_ROUNDS.contains(&round) || (has_vessels && round == VESSEL_APPROACH_ROUND);
         if may_transform && approaches {
-            let effort = Effort { wanted: RELAXATION_BOUNDS[round], surfaces: Surfaces::Stay, slack };
+            let effort = Effort { wanted: bound, surfaces: Surfaces::Stay, slack };
             let mut mend = |work: &mut ImprovementMesh, around: &Surroundings| {
                 mend_around(work, around, &effort, Some(&mut summary.counts), context)
             };
@@ -303,12 +309,12 @@ pub fn improve(
             summary.counts.short_edges +=
                 contract_short_edges(&mut work, wanted, short, passes, Uncontracted::Stay, context)?;
         }
-        if round + 1 < ROUNDS {
+        if round + 1 < rounds {
             update_offsets(&mut work, &clean.volumes, LARGEST_OFFSET * voxel, context)?;
             context.check()?;
         }
     }
-    advance(ROUNDS);
+    advance(rounds);
     if options.transformations == Transformations::Local {
         summary.counts.short_edges +=
             contract_short_edges(&mut work, wanted, NEEDLE, NEEDLE_PASSES, Uncontracted::Lengthen, context)?;
@@ -316,7 +322,7 @@ pub fn improve(
         loosen_all(&mut work, context)?;
         summary.counts.spikes += merge_spikes(&mut work, SPIKE * voxel, wanted, context)?;
     }
-    advance(ROUNDS + 1);
+    advance(rounds + 1);
     let (searched, left) = search_last(&mut work, options, voxel, &mut summary.counts, context)?;
     summary.searched = searched;
     let is_approached = options.transformations == Transformations::Local && has_vessels;

@@ -33,7 +33,7 @@ use crate::error::Result;
 use crate::geometry::predicates::orient3d;
 use crate::index::{Label, VertexId};
 use crate::lattice::candidate_mesh::{CandidateMesh, MergeableCube};
-use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
+use crate::lattice::face_adjacency::OUTSIDE;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::scaffold::Scaffold;
 use crate::mesh::mixed_mesh::ElementKind;
@@ -70,9 +70,9 @@ const CUBE: [IVec3; 8] = [
 
 /// Whether a limit on surface triangles will be asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SurfaceCount {
-    /// The surface triangles of pyramids are counted.
-    Counted,
+pub enum SurfaceCount<'a> {
+    /// The surface triangles of pyramids are counted, by the neighbours of the elements.
+    Counted(&'a [[u32; 4]]),
     /// They are taken as none.
     Skipped,
 }
@@ -89,7 +89,7 @@ struct Around {
 /// on them will be asked for.
 ///
 /// # Errors
-/// As [`neighbors_of`].
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
 pub fn find_cubes(
     lattice: &RedGreenLattice,
     elements: &Elements,
@@ -102,7 +102,7 @@ pub fn find_cubes(
     let mut is_center: Vec<bool> = around.iter().map(|a| a.count == TETS_AROUND_VERTEX).collect();
     keep_one_lattice_per_level(lattice, &around, &mut is_center);
     let triangles = match surface {
-        SurfaceCount::Counted => surface_triangles(elements, &is_center, context)?,
+        SurfaceCount::Counted(neighbors) => surface_triangles(elements, neighbors, &is_center),
         SurfaceCount::Skipped => FxHashMap::default(),
     };
     let cube = |center: u32| {
@@ -125,8 +125,7 @@ pub fn find_cubes(
 ///
 /// A refused cube becomes the apex of its neighbours' pyramids, whose triangles then lie inside one label: counts do not
 /// depend on which cubes are refused.
-fn surface_triangles(elements: &Elements, is_center: &[bool], context: &RunContext) -> Result<FxHashMap<u32, u8>> {
-    let neighbors = neighbors_of(&elements.tets, is_center.len(), context)?;
+fn surface_triangles(elements: &Elements, neighbors: &[[u32; 4]], is_center: &[bool]) -> FxHashMap<u32, u8> {
     let mut of_pyramid: FxHashMap<(u32, u32), u8> = FxHashMap::default();
     for (e, tet) in elements.tets.iter().enumerate() {
         for [a, b] in [[0, 1], [1, 0], [2, 3], [3, 2]] {
@@ -144,7 +143,7 @@ fn surface_triangles(elements: &Elements, is_center: &[bool], context: &RunConte
         let known = most.entry(center).or_default();
         *known = (*known).max(count);
     }
-    Ok(most)
+    most
 }
 
 fn tets_around_vertices(lattice: &RedGreenLattice, elements: &Elements) -> Vec<Around> {

@@ -177,7 +177,9 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
     let targets = Targets::new(values, options)?;
     let region_threshold = options.check_mesh_topology.then_some(options.mesh_region_threshold);
     let input = RefinementInput { image, values, targets: &targets, spacing: 0.0, region_threshold };
-    let mut candidate = candidate_of(&input, options, &mut report, context)?;
+    let (mut candidate, neighbors) = candidate_of(&input, options, &mut report, context)?;
+    // As long as the tets stay.
+    let mut neighbors = Some(neighbors);
     if !options.fixed_points.is_empty() {
         let found = fixed_points::snap(&mut candidate, &options.fixed_points, image.grid(), context);
         report.set("mesh.fixed_points", found as f64);
@@ -192,13 +194,13 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
     if options.keep_bcc_surface {
         output.meshes.push(("bcc_surface".into(), finishing::surface_of(&finish(&candidate, None)?)?));
     }
-    if options.smoothing_iterations > 0 {
-        let points = smoothing::smooth(&mut candidate, &clean, options, &mut report, context)?;
+    if let Some(neighbors) = neighbors.take_if(|_| options.smoothing_iterations > 0) {
+        let points = smoothing::smooth(&mut candidate, neighbors, &clean, options, &mut report, context)?;
         smoothing_outputs(points, image, options, &mut output);
         context.check()?;
         report.timed("lost_components", || lost_components::find_lost(&mut candidate, image, context))?;
     }
-    let mut neighbors = tell_differences(&candidate, image, values, options, &mut report, context)?;
+    neighbors = tell_differences(&candidate, neighbors, image, values, options, &mut report, context)?;
     context.progress("finishing", progress_shares::FINISHING);
     if options.mixed_elements {
         // Neighbours of tets that are no more.
@@ -237,10 +239,11 @@ fn mesh_image(original: &LabelImage, options: &Options, context: &RunContext) ->
     Ok((output, report))
 }
 
-/// Tells what the mesh of tets has lost of the image, and where its topology is another, as far as that is asked for; returns the
-/// neighbours of the tets where they had to be known.
+/// Tells what the mesh of tets has lost of the image, and where its topology is another, as far as that is asked for. Takes
+/// and returns the neighbours of the tets where they are known.
 fn tell_differences(
     mesh: &CandidateMesh,
+    neighbors: Option<Vec<[u32; 4]>>,
     image: &LabelImage,
     values: &[i32],
     options: &Options,
@@ -250,10 +253,13 @@ fn tell_differences(
     lost_components::tell_lost(&mesh.lost, image, values, context);
     let is_checked = options.check_mesh_topology;
     if options.smoothing_iterations == 0 && !is_checked {
-        return Ok(None);
+        return Ok(neighbors);
     }
-    let neighbors =
-        report.timed("adjacency", || neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len(), context))?;
+    let tets = bytemuck::cast_slice(&mesh.tets);
+    let neighbors = match neighbors {
+        Some(neighbors) => neighbors,
+        None => report.timed("adjacency", || neighbors_of(tets, mesh.points.len(), context))?,
+    };
     let pinched = report.timed("topology_findings", || {
         topology_findings::tell_pieces(mesh, &neighbors, image, values, context)?;
         topology_findings::tell_topology(mesh, &neighbors, image, values, is_checked, context)
@@ -332,7 +338,7 @@ fn candidate_of(
     options: &Options,
     report: &mut Report,
     context: &RunContext,
-) -> Result<CandidateMesh> {
+) -> Result<(CandidateMesh, Vec<[u32; 4]>)> {
     let spacing = options.lattice_spacing.unwrap_or_else(|| adapted_spacing(input.image));
     let refine = |spacing: f64, report: &mut Report| {
         adaptive_refinement::refine(&RefinementInput { spacing, ..*input }, options, report, context)
@@ -342,18 +348,18 @@ fn candidate_of(
     // the logarithm of the spacing, at most SPACING_TRIES times, keeping the nearest.
     let (mut low, mut high) = (f64::NAN, f64::NAN);
     let mut spacing = spacing;
-    let mut best: Option<(f64, CandidateMesh)> = None;
+    let mut best = None;
     for _ in 0..SPACING_TRIES {
         let mut tried = Report::default();
         let candidate = refine(spacing, &mut tried)?;
-        let ratio = candidate.points.len() as f64 / wanted as f64;
+        let ratio = candidate.0.points.len() as f64 / wanted as f64;
         let off = ratio.ln().abs();
         if ratio > 1.0 {
             low = spacing
         } else {
             high = spacing
         }
-        if best.as_ref().is_none_or(|(o, _)| off < *o) {
+        if best.as_ref().is_none_or(|(o, _): &(f64, _)| off < *o) {
             best = Some((off, candidate));
             report.merge(&tried.statistics());
         }

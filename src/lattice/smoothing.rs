@@ -45,12 +45,13 @@ pub struct SmoothingPoints {
     pub targets: Vec<[usize; 3]>,
 }
 
-/// Smooths a mesh of tets in place.
+/// Smooths a mesh of tets in place; `neighbors` are those of the tets.
 ///
 /// # Errors
 /// As [`deform`].
 pub fn smooth(
     mesh: &mut CandidateMesh,
+    mut neighbors: Vec<[u32; 4]>,
     clean: &CleanImage,
     options: &Options,
     report: &mut Report,
@@ -62,7 +63,9 @@ pub fn smooth(
     context.check()?;
     let planes = report.timed("border", || clip_at_border(mesh, &surface, context))?;
     report.set("smoothing.border_planes", planes.len() as f64);
-    let mut neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len(), context)?;
+    if !planes.is_empty() {
+        neighbors = neighbors_of(bytemuck::cast_slice(&mesh.tets), mesh.points.len(), context)?;
+    }
     let far = if options.check_mesh_topology { FarPieces::Go } else { FarPieces::Stay };
     let loose = report.timed("loose_pieces", || relabel_loose_pieces(mesh, &neighbors, image, far, context))?;
     if loose > 0 {
@@ -132,6 +135,7 @@ mod tests {
     use super::*;
     use crate::image::label_image::LabelImage;
     use crate::index::Label;
+    use crate::lattice::face_adjacency::OUTSIDE;
     use crate::lattice::options::PARAMETERS;
     use crate::lattice::test_images::voxel_image as image;
     use crate::lattice::{self, CandidateMesh};
@@ -225,7 +229,7 @@ mod tests {
         let mut report = Report::default();
         let clean =
             crate::lattice::voxel_cleanup::clean(&image, &options, &RunContext::with_threads(1).unwrap()).unwrap();
-        let result = smooth(&mut mesh, &clean, &options, &mut report, &context);
+        let result = smooth(&mut mesh, vec![[OUTSIDE; 4]], &clean, &options, &mut report, &context);
         assert!(matches!(result, Err(crate::Error::Cancelled)));
     }
 }

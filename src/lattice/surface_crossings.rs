@@ -25,6 +25,7 @@ use crate::geometry::aabb_tree::AabbTree;
 use crate::geometry::bounding_box::BoundingBox;
 use crate::geometry::intersection::{Meeting, triangle_pair};
 use crate::geometry::predicates::orient3d;
+use crate::index::Label;
 use crate::lattice::element_score::Part;
 use crate::lattice::improvement_mesh::ImprovementMesh;
 use crate::mesh::numbering::TET_FACES;
@@ -61,7 +62,7 @@ fn is_kept_apart(mesh: &ImprovementMesh, context: &RunContext) -> Result<bool> {
     };
     let moving = |t: u32| {
         let faces = faces_of(t).into_iter().enumerate();
-        let open = faces.filter(move |(at, face)| may_be_open(face) && mesh.neighbor(t, *at).is_none());
+        let open = faces.filter(move |(at, face)| may_be_open(face) && mesh.label_behind(t, *at).is_none());
         open.map(move |(at, face)| (face, is_in_border(mesh, face, mesh.tets[t as usize][at])))
     };
     // Most tets have no such face: three of the vertices would be there.
@@ -127,8 +128,8 @@ fn outer_faces(mesh: &ImprovementMesh, context: &RunContext) -> Vec<[u32; 3]> {
             let corners = TET_FACES[face].map(|v| tet[v]);
             let may_be =
                 mesh.is_live(t) && mesh.part(t) == Part::Mesh && corners.iter().all(|v| mesh.is_on_surface(*v));
-            let is_outside = |n: Option<u32>| n.is_none_or(|n| mesh.part(n) == Part::Scaffold);
-            (may_be && is_outside(mesh.neighbor(t, face))).then_some(corners)
+            let is_outside = |face: usize| mesh.label_behind(t, face).is_none_or(Label::is_background);
+            (may_be && is_outside(face)).then_some(corners)
         })
     };
     context.until_cancelled(0..mesh.tets.len() as u32).flat_map_iter(of_tet).collect()
@@ -139,7 +140,7 @@ mod tests {
     use super::*;
     use crate::image::grid::Grid;
     use crate::image::label_image::LabelImage;
-    use crate::index::{Label, VertexId};
+    use crate::index::VertexId;
     use crate::lattice::boundary_targets::SourcePoints;
     use crate::lattice::candidate_mesh::CandidateMesh;
     use crate::lattice::subvoxel_surface::SubvoxelSurface;

@@ -209,8 +209,8 @@ fn labels_of_faces(mesh: &ImprovementMesh, t: u32) -> Option<(Between, [Label; 4
     if !mesh.sides(tet[0]).iter().any(is_common) {
         return None;
     }
-    let [Some(a), Some(b), Some(c), Some(d)] = mesh.neighbors(t) else { return None };
-    let behind = [a, b, c, d].map(|n| mesh.labels[n as usize]);
+    let [Some(a), Some(b), Some(c), Some(d)] = [0, 1, 2, 3].map(|face| mesh.label_behind(t, face)) else { return None };
+    let behind = [a, b, c, d];
     let other = behind.into_iter().find(|label| *label != own)?;
     let are_between = tet.iter().all(|v| has(v, other)) && behind.iter().all(|label| [own, other].contains(label));
     are_between.then_some((Between { own, other, inner: None }, behind))
@@ -279,8 +279,8 @@ fn may_go_over(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
         mesh.ball(vertices[0]).iter().all(|n| *n == t || mesh.labels[*n as usize] == label || !has_all(n))
     };
     let mut towards = Vec::new();
-    for (face, near) in mesh.neighbors(t).into_iter().enumerate() {
-        let label = mesh.labels[near? as usize];
+    for face in 0..4 {
+        let label = mesh.label_behind(t, face)?;
         if label == other {
             towards.push(face);
         } else if label != own {
@@ -376,9 +376,15 @@ mod tests {
             let label = |set: usize| Label(((set * (seed + 7) + seed * seed / 3) % 5 % 3) as u16);
             with_tets_of_sets(label, |mut mesh| {
                 mesh.refresh_stars(&context).unwrap();
-                for t in 0..mesh.tets.len() as u32 {
-                    assert_eq!(mesh.neighbors(t), [0, 1, 2, 3].map(|face| mesh.neighbor(t, face)));
-                }
+                let agree = |mesh: &ImprovementMesh| {
+                    (0..mesh.tets.len() as u32).flat_map(|t| [0, 1, 2, 3].map(|face| (t, face))).all(|(t, face)| {
+                        mesh.label_behind(t, face) == mesh.neighbor(t, face).map(|n| mesh.labels[n as usize])
+                    })
+                };
+                assert!(agree(&mesh));
+                (0..mesh.points.len() as u32).step_by(3).for_each(|v| mesh.stars.invalidate(v));
+                assert!(agree(&mesh), "some stars are out of date");
+                mesh.refresh_stars(&context).unwrap();
                 let faces_of = |t: u32| {
                     let is_other = |face: &usize| {
                         mesh.neighbor(t, *face).is_some_and(|n| mesh.labels[n as usize] != mesh.labels[t as usize])
