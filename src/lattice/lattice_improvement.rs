@@ -69,8 +69,9 @@ const RELAXATION_BOUNDS: [f64; 5] = [4.0, 5.0, 8.0, 15.2, 15.2];
 
 /// The same for images of several labels that are no vessels, whose surfaces follow the staircase in many places anyway. On an atlas of
 /// brain lobes the mean angle between surface triangles is 17.5 degrees with five rounds, 17.8 with these, 18.9 with three (4, 15.2, 15.2);
-/// 95 % of it are within 0.501, 0.505, 0.511 voxel; a round takes 4 % of the time. Balls within balls have a volume error of 0.05, 0.12
-/// and 0.17 %: what is smooth has one label most often, and more rounds.
+/// 95 % of it are within 0.501, 0.505, 0.511 voxel of the image. On tissues cut by the border angles begin at 12.2 degrees with five rounds,
+/// at 14.8 with these, for a seventh fewer elements. Two balls within each other have a volume error of 0.003, 0.027 and 0.168 %: where
+/// there is one label only, which may be as smooth, there are five.
 const RELAXATION_BOUNDS_OF_LABELS: [f64; 4] = [4.0, 8.0, 15.2, 15.2];
 
 /// Rounds in which surface edges are split where they cut off what bends, and how far off their middles are then, in voxels of
@@ -167,7 +168,7 @@ const LEAST_APPROACHES: usize = 500;
 const LAST_APPROACHES: usize = 3;
 const LAST_LEFT: f64 = 0.95;
 
-/// Steps that bring the volumes back after that: what comes nearer in a crotch is volume of the vessel. On 13 trees up to 0.69 %
+/// Steps that bring the volumes back in the end, at most: what comes nearer in a crotch is volume of the vessel. On 13 trees up to 0.69 %
 /// are off without.
 const VOLUME_STEPS: usize = 3;
 
@@ -349,11 +350,14 @@ pub fn improve(
         };
         summary.approached += approach_surface(&mut work, bounds, &mut mend, context)?;
     }
-    let (steps, least) = if is_approached { (VOLUME_STEPS, 0.0) } else { (1, LEAST_VOLUME_ERROR) };
+    let least = if is_approached { 0.0 } else { LEAST_VOLUME_ERROR };
     let moves = OffsetMoves { least, largest: LARGEST_OFFSET * voxel, bound: wanted };
     let mut is_moved = false;
-    for _ in 0..steps {
-        is_moved |= move_by_offsets(&mut work, &clean.volumes, &moves, context)?;
+    for _ in 0..VOLUME_STEPS {
+        if !move_by_offsets(&mut work, &clean.volumes, &moves, context)? {
+            break;
+        }
+        is_moved = true;
     }
     for _ in 0..options.laplacian_iterations {
         for v in 0..work.points.len() as u32 {
