@@ -7,7 +7,8 @@
 //! 3. This is done for some of the buckets at a time, so that only their faces are held.
 //!
 //! After a change of some tets only ([`neighbors_after`]), what lies behind the others is renumbered, and the faces that a
-//! tet has lost its neighbour at are matched with those of the new tets.
+//! tet has lost its neighbour at are matched with those of the new tets. Of some of the tets alone ([`neighbors_among`]) they are
+//! those that are left, renumbered.
 //!
 //! # Invariants
 //! A face has one or two tets; a third one is an internal error found here.
