@@ -21,6 +21,7 @@ use rayon::prelude::*;
 
 use crate::context::RunContext;
 use crate::error::{Error, Result};
+use crate::lattice::improvement_mesh::numbers_where;
 use crate::mesh::numbering::TET_FACES;
 use crate::parallel::shared_rows::SharedWords;
 
@@ -239,17 +240,15 @@ pub fn neighbors_after(
 /// [`Error::Cancelled`], [`Error::LimitReached`].
 pub fn neighbors_among(
     before: &[[u32; 4]],
-    is_kept: impl Fn(usize) -> bool + Sync + Send,
+    is_kept: impl Fn(usize) -> bool + Sync,
     context: &RunContext,
 ) -> Result<Vec<[u32; 4]>> {
-    let all = (0..before.len()).into_par_iter().with_min_len(CHUNK);
-    let kept: Vec<usize> = context.until_cancelled(all).filter(|t| is_kept(*t)).collect();
-    context.check()?;
+    let kept = numbers_where(before.len(), &|t| is_kept(t as usize), context)?;
     let mut numbers = vec![OUTSIDE; before.len()];
-    (0..).zip(&kept).for_each(|(number, t)| numbers[*t] = number);
+    (0..).zip(&kept).for_each(|(number, t)| numbers[*t as usize] = number);
     let number = |n: u32| if n == OUTSIDE { OUTSIDE } else { numbers[n as usize] };
     let kept = context.until_cancelled(kept.par_iter().with_min_len(CHUNK));
-    let neighbors = kept.map(|t| before[*t].map(number)).collect();
+    let neighbors = kept.map(|t| before[*t as usize].map(number)).collect();
     context.check()?;
     Ok(neighbors)
 }
