@@ -1,16 +1,19 @@
 //! Pieces of a label in the mesh: elements connected through faces, and what becomes of small loose ones.
 //!
+//! # Method
+//! Elements are united with those of their label behind their faces, in parallel within chunks, then across these.
+//!
 //! # Source
 //! [Drakopoulos2017] 2.3.3, mesh topological checks.
 //!
 //! # Invariants
-//! Regions are in the order of their first element.
+//! Regions are in the order of their first element, the elements of a region in theirs.
 
 use rayon::prelude::*;
 
 use crate::context::RunContext;
 use crate::error::Result;
-use crate::image::connected_components::Components;
+use crate::image::connected_components::{Components, unite};
 use crate::index::Label;
 use crate::lattice::face_adjacency::OUTSIDE;
 use crate::lattice::interface_topology::InterfaceTopology;
@@ -19,7 +22,7 @@ use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::voxel_fidelity::{for_each_component, for_each_voxel};
 use crate::mesh::numbering::TET_FACES;
 
-/// Elements of a region between two looks at whether the run is cancelled: a few milliseconds.
+/// Elements between two looks at whether the run is cancelled: a few milliseconds.
 const ELEMENTS_PER_CHECK: usize = 1 << 16;
 
 /// Elements per parallel work item.
@@ -125,29 +128,48 @@ fn regions_where(
     labels: &[Label],
     neighbors: &[[u32; 4]],
     context: &RunContext,
-    passes: impl Fn(Label) -> bool,
+    passes: impl Fn(Label) -> bool + Sync,
 ) -> Result<Vec<(Label, Vec<u32>)>> {
-    let mut seen = vec![false; labels.len()];
-    let mut regions = Vec::new();
-    for start in 0..labels.len() {
-        let label = labels[start];
-        if seen[start] || !passes(label) {
-            continue;
-        }
-        seen[start] = true;
-        let mut region = vec![start as u32];
-        let mut next = 0;
-        while next < region.len() {
-            context.check_every(ELEMENTS_PER_CHECK, next)?;
-            for near in neighbors[region[next] as usize] {
-                if near != OUTSIDE && !seen[near as usize] && labels[near as usize] == label {
-                    seen[near as usize] = true;
-                    region.push(near);
+    let mut parents = vec![0u32; labels.len()];
+    // Those of a chunk are united by one thread, which knows them by their places in it; what faces an earlier chunk is left over.
+    let unite_chunk = |(chunk, parents): (usize, &mut [u32])| {
+        let first = chunk * ELEMENTS_PER_CHECK;
+        parents.iter_mut().zip(0..).for_each(|(parent, place)| *parent = place);
+        let mut across: Vec<[u32; 2]> = Vec::new();
+        for place in 0..parents.len() {
+            let e = first + place;
+            if !passes(labels[e]) {
+                continue;
+            }
+            let is_earlier = |near: &u32| (*near as usize) < e && labels[*near as usize] == labels[e];
+            for near in neighbors[e].into_iter().filter(is_earlier) {
+                match (near as usize).checked_sub(first) {
+                    Some(other) => _ = unite(parents, other as u32, place as u32),
+                    None => across.push([near, e as u32]),
                 }
             }
-            next += 1;
         }
-        regions.push((label, region));
+        parents.iter_mut().for_each(|parent| *parent += first as u32);
+        across
+    };
+    let chunks = context.until_cancelled(parents.par_chunks_mut(ELEMENTS_PER_CHECK).enumerate());
+    let across: Vec<Vec<[u32; 2]>> = chunks.map(unite_chunk).collect();
+    context.check()?;
+    across.into_iter().flatten().for_each(|[a, b]| _ = unite(&mut parents, a, b));
+    // Each leads to an earlier one of its region, which has the number of that by then, or is the first.
+    let mut regions: Vec<(Label, Vec<u32>)> = Vec::new();
+    for e in 0..labels.len() {
+        context.check_every(ELEMENTS_PER_CHECK, e)?;
+        if passes(labels[e]) {
+            let parent = parents[e] as usize;
+            if parent == e {
+                parents[e] = regions.len() as u32;
+                regions.push((labels[e], Vec::new()));
+            } else {
+                parents[e] = parents[parent];
+            }
+            regions[parents[e] as usize].1.push(e as u32);
+        }
     }
     Ok(regions)
 }
@@ -325,6 +347,34 @@ mod tests {
         assert_eq!(inside([9; 4]), [vec![0, 1, 2, 3, 4, 5]]);
         assert_eq!(inside([3, 4, 5, 9]), [vec![0, 1, 2], vec![3, 4, 5]]);
         assert_eq!(inside([3, 4, 5, 6]), [vec![0, 1, 2], vec![4, 5]]);
+    }
+
+    #[test]
+    fn regions_across_chunks_are_whole_and_in_order() {
+        let context = RunContext::with_threads(2).unwrap();
+        let count = 3 * ELEMENTS_PER_CHECK + 5;
+        // A chain of all elements, each far from the next one; every tenth part of a thousand has another label.
+        let at = |place: usize| place * 7919 % count;
+        let mut neighbors = vec![[OUTSIDE; 4]; count];
+        let mut labels = vec![Label(1); count];
+        for place in 0..count {
+            if place > 0 {
+                (neighbors[at(place)][2], neighbors[at(place - 1)][1]) = (at(place - 1) as u32, at(place) as u32);
+            }
+            labels[at(place)] = Label(1 + u16::from(place / 1000 % 10 == 3));
+        }
+        let mut expected: Vec<(Label, Vec<u32>)> = Vec::new();
+        for place in 0..count {
+            let (label, e) = (labels[at(place)], at(place) as u32);
+            match expected.last_mut().filter(|last| last.0 == label) {
+                Some((_, region)) => region.push(e),
+                None => expected.push((label, vec![e])),
+            }
+        }
+        expected.iter_mut().for_each(|(_, region)| region.sort_unstable());
+        expected.sort_by_key(|(_, region)| region[0]);
+        assert!(expected.len() > 30);
+        assert!(context.install(|| regions_of(&labels, &neighbors, &context)).unwrap() == expected);
     }
 
     #[test]
