@@ -144,13 +144,17 @@ mod tests {
     use crate::mesh::validation::check_mixed_mesh;
     use crate::parameters::ParameterSet;
 
-    fn mesh(image: &LabelImage, threads: usize) -> MixedMesh {
+    fn run(image: &LabelImage, settings: &[(&str, &str)], threads: usize) -> (lattice::Output, Report) {
         let mut set = ParameterSet::new(PARAMETERS);
-        set.set_text("lattice-spacing", "4").unwrap();
-        set.set_text("fidelity", "0.9").unwrap();
+        let settings = [("lattice-spacing", "4"), ("fidelity", "0.9")].iter().chain(settings);
+        settings.for_each(|(name, value)| set.set_text(name, value).unwrap());
         let options = Options::from_parameters(&set).unwrap();
         let context = RunContext::with_threads(threads).unwrap();
-        lattice::run(image, &options, &context).unwrap().0.mesh
+        lattice::run(image, &options, &context).unwrap()
+    }
+
+    fn mesh(image: &LabelImage, threads: usize) -> MixedMesh {
+        run(image, &[], threads).0.mesh
     }
 
     fn volume_of(mesh: &MixedMesh, label: i32) -> f64 {
@@ -202,6 +206,19 @@ mod tests {
             let voxels = image.voxels().iter().filter(|l| l.0 == label).count() as f64;
             assert!((volume_of(&result, i32::from(label)) / voxels - 1.0).abs() < 0.02, "{label}");
         }
+    }
+
+    #[test]
+    fn iterations_end_where_several_labels_settle_and_not_where_there_is_one() {
+        let center = DVec3::new(15.3, 15.8, 16.1);
+        let iterations = |labels: u16, asked: &str| {
+            let image = image(32, |p| if p.distance(center) < 12.0 { 1 + u16::from(p.x > 15.0) % labels } else { 0 });
+            let report = run(&image, &[("smoothing-iterations", asked)], 2).1.statistics();
+            report.value("smoothing.iterations").unwrap()
+        };
+        assert_eq!([iterations(1, "9"), iterations(2, "1")], [9.0, 1.0]);
+        let settled = iterations(2, "9");
+        assert!(settled > 1.0 && settled < 9.0, "{settled}");
     }
 
     #[test]

@@ -130,6 +130,12 @@ impl<'a> SubvoxelSurface<'a> {
         self.has_mostly_vessels
     }
 
+    /// Whether several labels meet, most of them no vessels: their surfaces follow the staircase of the voxels in many places whatever is
+    /// done, so that the last bit of work on them shows least.
+    pub fn follows_staircase(&self) -> bool {
+        self.offsets.len() > 2 && !self.has_mostly_vessels
+    }
+
     /// Millimetres between voxels.
     pub fn spacing(&self) -> DVec3 {
         self.spacing

@@ -11,6 +11,7 @@
 //! 3. Source points of elements that U would spoil get their confidence scaled down; solve again, a few tries, as long as each one
 //!    leaves at most half of them. Where the first try leaves more, the iterations that follow make none.
 //! 4. The move is made under the guard of [`move_guarded`], which damps it where an element is still spoiled.
+//! 5. Where several labels meet that are no vessels, the iterations end once one has moved the surfaces by little.
 //!
 //! # Source
 //! [Drakopoulos2017] 2.3.5 eq. 1 and 2.
@@ -21,6 +22,8 @@
 //!
 //! # Invariants
 //! No element gets worse than before and below the bound at once. Vertices on border planes stay in them. Same bits for any number of threads.
+
+use std::ops::Range;
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -38,6 +41,7 @@ use crate::lattice::options::Options;
 use crate::lattice::progress_shares;
 use crate::lattice::subvoxel_surface::{Side, SubvoxelSurface};
 use crate::lattice::untangling::{GuardedMove, GuardedTets, move_guarded};
+use crate::parallel::ordered_reduce::ordered_sum;
 use crate::sparse::block_csr::BlockCsr;
 use crate::sparse::conjugate_gradient::{StoppingRule, conjugate_gradient_from};
 use crate::sparse::pattern::Incidence;
@@ -56,6 +60,14 @@ const MOST_LEFT: f64 = 0.5;
 
 /// Stiffness of a vertex that must not move, in units of the flexibility.
 const HELD: f64 = 1e6;
+
+/// Mean move of the source points in an iteration, in voxels of the smallest spacing, after which no other one follows where surfaces
+/// [follow the staircase](SubvoxelSurface::follows_staircase): what is left is less from one iteration to the next, is held back by the
+/// guard more and more, and what comes after the deformation brings the vertices onto their surfaces at a lower cost. On an atlas
+/// of brain lobes five iterations move them by 0.257, 0.149, 0.068, 0.025 and 0.008 voxel and undo 0, 0, 4, 20 and 52 thousand moves;
+/// with the first three distances, angles and volumes in the end are the same, and a third fewer tets are low before the improvement.
+/// On tori the largest distance would be 0.45 voxel instead of 0.37: one body may be so smooth that every bit shows.
+const SETTLED: f64 = 0.1;
 
 /// Vertices per parallel work item.
 const VERTEX_CHUNK: usize = 4096;
@@ -125,6 +137,7 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
     let mut springs = Springs { matrix, preconditioner, pulls: vec![0.0; input.sources.vertices.len()] };
     let mut tries = Tries { allowed: input.options.max_confidence_iterations };
     let shares = (progress_shares::TARGETED, progress_shares::DEFORMED);
+    let settled = if input.surface.follows_staircase() { SETTLED * input.surface.spacing().min_element() } else { 0.0 };
     for iteration in 0..input.options.smoothing_iterations {
         context.progress("deformation", progress_shares::within(shares, iteration, input.options.smoothing_iterations));
         context.check()?;
@@ -135,14 +148,29 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
             GuardedTets { tets: &scaffold.tets, incidence: &around, part: Part::Scaffold },
         ];
         context.check()?;
+        let before = source_places(mesh, input.sources);
         let guarded = move_guarded(&mut mesh.points, &scaffold.points, &groups, &displacements, bound, context)?;
         summary.guarded.damped += guarded.damped;
         summary.guarded.undone += guarded.undone;
         summary.iterations += 1;
+        if mean_distance(&before, &source_places(mesh, input.sources)) < settled {
+            break;
+        }
     }
     mesh.scaffold = scaffold;
     context.check()?;
     Ok(summary)
+}
+
+fn source_places(mesh: &CandidateMesh, sources: &SourcePoints) -> Vec<DVec3> {
+    let vertices = sources.vertices.par_iter().with_min_len(VERTEX_CHUNK);
+    vertices.map(|v| mesh.points[v.index()]).collect()
+}
+
+/// The mean distance between points and others, the same for any number of threads.
+fn mean_distance(points: &[DVec3], others: &[DVec3]) -> f64 {
+    let of_chunk = |range: Range<usize>| range.map(|at| points[at].distance(others[at])).sum();
+    ordered_sum(points.len(), of_chunk) / points.len() as f64
 }
 
 /// What stays the same in all iterations.
