@@ -41,9 +41,9 @@ use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::closed_passages::Passages;
 use crate::lattice::element_labels::{Relabelled, relabel_for_smoothing};
 use crate::lattice::euler_ranges::EulerRanges;
-use crate::lattice::face_adjacency::{neighbors_after, neighbors_among, neighbors_of};
+use crate::lattice::face_adjacency::{neighbors_after, neighbors_among, neighbors_of, rematch};
 use crate::lattice::image_contacts::ImageContacts;
-use crate::lattice::interface_carving::{Carved, carve};
+use crate::lattice::interface_carving::carve;
 use crate::lattice::interface_topology::InterfaceTopology;
 use crate::lattice::kept_components::KeptComponents;
 use crate::lattice::last_repair::LastRepair;
@@ -63,7 +63,9 @@ use crate::lattice::report::Report;
 use crate::lattice::stray_voxels::mark_stray_voxels;
 use crate::lattice::subdivision_criteria::{Deficit, Demands, Targets, finest_level, mark_leaves};
 use crate::lattice::topology_differences::elements_at_differences;
-use crate::lattice::voxel_fidelity::{LabelCount, Mismatch, for_each_voxel, mismatches, mismatches_after, recounted};
+use crate::lattice::voxel_fidelity::{
+    LabelCount, Mismatch, counted_anew, for_each_voxel, mismatches, mismatches_after, recounted,
+};
 
 /// Rounds of refinement for the sake of topology: a pinch that comes from the image's own shape is gone after two or three
 /// (edges of 4 voxels become half a voxel), one that the lattice makes anew each time never goes. On an atlas of brain lobes the
@@ -768,17 +770,20 @@ impl Rounds<'_> {
             let rules =
                 FillingRules { regions: &joinable, euler: Some(euler.insert(known)), are_checked, extent, kept };
             let fillings = choose_fillings(lattice, &elements.labels, &topology, &pinches, rules, context)?;
-            drop(topology);
-            let Carved { vertices, numbers } = carve(lattice, elements, &fillings, context)?;
-            self.report.add("topology.carved_vertices", vertices as f64);
-            if vertices == 0 {
+            let filled = fillings.vertices();
+            self.report.add("topology.carved_vertices", filled.len() as f64);
+            if filled.is_empty() {
                 break;
             }
-            to_see = Some(pinches.to_see_after(lattice, elements, &numbers));
+            let around = topology.elements_around(&filled);
+            drop(topology);
+            let changed = carve(lattice, elements, &fillings, around, context)?;
+            to_see = Some(pinches.to_see_after(lattice, elements, &changed));
             drop((pinches, joinable));
-            found = self.count_after(&found, &numbers, lattice, elements)?;
-            let known = Known { numbers, neighbors: std::mem::take(neighbors) };
-            *neighbors = self.neighbors(lattice, elements, Some(known))?;
+            self.report.timed("adjacency", || rematch(neighbors, &elements.tets, &changed, context))?;
+            let components = &self.components;
+            let count = || counted_anew(&found, changed, lattice, elements, components, context);
+            found = self.report.timed("fidelity", count)?;
         }
         Ok(found)
     }

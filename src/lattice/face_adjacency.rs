@@ -7,7 +7,8 @@
 //! 3. This is done for some of the buckets at a time, so that only their faces are held.
 //!
 //! After a change of some tets only ([`neighbors_after`]), what lies behind the others is renumbered, and the faces that a
-//! tet has lost its neighbour at are matched with those of the new tets. Of some of the tets alone ([`neighbors_among`]) they are
+//! tet has lost its neighbour at are matched with those of the new tets; where the others keep their numbers ([`rematch`]), only these
+//! faces are touched. Of some of the tets alone ([`neighbors_among`]) they are
 //! those that are left, renumbered.
 //!
 //! # Invariants
@@ -52,9 +53,7 @@ struct Side {
 /// [`Error::CapacityExceeded`] past 2^30 tets; [`Error::Internal`] for a face with three tets; [`Error::Cancelled`],
 /// [`Error::LimitReached`].
 pub fn neighbors_of(tets: &[[u32; 4]], vertex_count: usize, context: &RunContext) -> Result<Vec<[u32; 4]>> {
-    if tets.len() >= 1 << 30 {
-        return Err(Error::CapacityExceeded { what: "tets", needed: tets.len() as u64, limit: 1 << 30 });
-    }
+    check_count(tets)?;
     // As many vertices a bucket as the power of two that no more than all buckets are needed with.
     let shift = vertex_count.div_ceil(BUCKETS).max(1).next_power_of_two().trailing_zeros();
     let count = vertex_count.div_ceil(1 << shift);
@@ -207,16 +206,49 @@ pub fn neighbors_after(
         neighbors[t][f] == OUTSIDE && (numbers[t] == OUTSIDE || before[numbers[t] as usize][f] != OUTSIDE)
     };
     let open_faces = |t: usize| {
-        (0..4).filter(move |f| is_open(t, *f)).map(move |f| {
-            let mut face = TET_FACES[f].map(|v| tets[t][v]);
-            face.sort_unstable();
-            let [a, b, c] = face.map(u128::from);
-            a << 96 | b << 64 | c << 32 | u128::from(((t as u32) << 2) | f as u32)
-        })
+        (0..4).filter(move |f| is_open(t, *f)).map(move |f| face_with_side(&tets[t], ((t as u32) << 2) | f as u32))
     };
     let all = (0..tets.len()).into_par_iter().with_min_len(CHUNK);
-    // The vertices of a face and its side in one number: sorting compares once.
-    let mut faces: Vec<u128> = context.until_cancelled(all).flat_map_iter(open_faces).collect();
+    let faces: Vec<u128> = context.until_cancelled(all).flat_map_iter(open_faces).collect();
+    join_equal(faces, &mut neighbors, context)?;
+    Ok(neighbors)
+}
+
+/// The neighbours once some tets have changed in their places and others have come at the end; `changed` has the numbers of all of these.
+///
+/// # Errors
+/// As [`neighbors_of`]; the neighbours are not whole then.
+pub fn rematch(neighbors: &mut Vec<[u32; 4]>, tets: &[[u32; 4]], changed: &[u32], context: &RunContext) -> Result<()> {
+    check_count(tets)?;
+    neighbors.resize(tets.len(), [OUTSIDE; 4]);
+    let mut sides: Vec<u32> = changed.iter().flat_map(|t| (0..4).map(move |f| t << 2 | f)).collect();
+    for &t in changed {
+        for n in std::mem::replace(&mut neighbors[t as usize], [OUTSIDE; 4]).into_iter().filter(|n| *n != OUTSIDE) {
+            let row = &mut neighbors[n as usize];
+            if let Some(f) = row.iter().position(|behind| *behind == t) {
+                row[f] = OUTSIDE;
+                sides.push(n << 2 | f as u32);
+            }
+        }
+    }
+    context.check()?;
+    // Two that have changed and were side by side list the face between them twice.
+    sides.par_sort_unstable();
+    sides.dedup();
+    let faces = sides.par_iter().with_min_len(CHUNK).map(|side| face_with_side(&tets[(side >> 2) as usize], *side));
+    join_equal(faces.collect(), neighbors, context)
+}
+
+/// The vertices of a face in the high part, ascending, and its side: sorting compares once.
+fn face_with_side(tet: &[u32; 4], side: u32) -> u128 {
+    let mut face = TET_FACES[(side & 3) as usize].map(|v| tet[v]);
+    face.sort_unstable();
+    let [a, b, c] = face.map(u128::from);
+    a << 96 | b << 64 | c << 32 | u128::from(side)
+}
+
+/// Makes the two sides of each face that is there twice neighbours.
+fn join_equal(mut faces: Vec<u128>, neighbors: &mut [[u32; 4]], context: &RunContext) -> Result<()> {
     context.check()?;
     faces.par_sort_unstable();
     context.check()?;
@@ -231,7 +263,7 @@ pub fn neighbors_after(
             _ => return Err(shared_by_many(face[0] as u32)),
         }
     }
-    Ok(neighbors)
+    Ok(())
 }
 
 /// The neighbours of those tets of which something holds, in their order and with the numbers that they have in it.
@@ -251,6 +283,11 @@ pub fn neighbors_among(
     let neighbors = kept.map(|t| before[*t as usize].map(number)).collect();
     context.check()?;
     Ok(neighbors)
+}
+
+fn check_count(tets: &[[u32; 4]]) -> Result<()> {
+    let (needed, limit) = (tets.len() as u64, 1 << 30);
+    if needed >= limit { Err(Error::CapacityExceeded { what: "tets", needed, limit }) } else { Ok(()) }
 }
 
 fn shared_by_many(side: u32) -> Error {
@@ -313,6 +350,31 @@ mod tests {
             }
             assert!(neighbors_of(&tets, vertices, &context).unwrap() == expected);
         }
+    }
+
+    #[test]
+    fn tets_cut_in_their_places_and_those_around_find_each_other() {
+        let context = RunContext::with_threads(1).unwrap();
+        let (tets, vertices) = cube(4);
+        let neighbors = neighbors_of(&tets, vertices, &context).unwrap();
+        // Cut into four at a vertex of their own: side by side, at the outside, and apart.
+        for cut in [vec![], vec![0, 1, 2, 57], (0..tets.len() as u32).step_by(3).collect(), (9..200).collect()] {
+            let (mut after, mut changed) = (tets.clone(), cut);
+            for (middle, t) in (vertices as u32..).zip(changed.clone()) {
+                let [a, b, c, d] = tets[t as usize];
+                after[t as usize] = [a, b, c, middle];
+                after.extend([[a, b, middle, d], [a, middle, c, d], [middle, b, c, d]]);
+            }
+            changed.extend(tets.len() as u32..after.len() as u32);
+            let mut found = neighbors.clone();
+            rematch(&mut found, &after, &changed, &context).unwrap();
+            assert_eq!(found, neighbors_of(&after, vertices + changed.len(), &context).unwrap());
+        }
+        let twice = [vec![tets[0]], tets.clone(), vec![tets[0]]].concat();
+        let all: Vec<u32> = (0..twice.len() as u32).collect();
+        assert!(matches!(rematch(&mut Vec::new(), &twice, &all, &context), Err(Error::Internal { .. })));
+        context.cancel_token().cancel();
+        assert!(matches!(rematch(&mut neighbors.clone(), &tets, &[0], &context), Err(Error::Cancelled)));
     }
 
     #[test]

@@ -25,109 +25,91 @@
 //! # Invariants
 //! At a new vertex in the middle of an edge (s, a) one half of the ball is of one label, the other half is the ball of
 //! the edge; the edge does not pinch, as a is not pinched. So no surface pinches afterwards where the balls of the pinched
-//! vertices are closed. Elements cut keep their place in the order.
-
-use rayon::prelude::*;
+//! vertices are closed.
 
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::index::Label;
 use crate::lattice::pinch_fillings::Fillings;
-use crate::lattice::red_green::{CHANGED, Elements, RedGreenLattice};
+use crate::lattice::red_green::{Elements, RedGreenLattice};
 
 /// Elements that are cut between two looks at whether the run is cancelled.
 const ELEMENTS_PER_CHECK: usize = 1 << 16;
 
-/// What carving has done.
-pub struct Carved {
-    /// Vertices treated.
-    pub vertices: usize,
-    /// For each element its number before, or [`CHANGED`]; none where no vertex was treated.
-    pub numbers: Vec<u32>,
-}
-
-/// Cuts the elements around the pinched vertices and labels the inner parts.
+/// Cuts the elements around the vertices that are filled (`around`, increasing) and labels the inner parts. Returns the elements that
+/// changed, increasing: the first part of each element takes its place, the others come at the end.
 ///
 /// # Errors
-/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`]; elements are missing then.
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`]; some elements are cut then, others beside them not.
 pub fn carve(
     lattice: &mut RedGreenLattice,
     elements: &mut Elements,
     fillings: &Fillings,
-    context: &RunContext,
-) -> Result<Carved> {
-    let treated = fillings.label_of.iter().flatten().count();
-    let numbers = if treated > 0 { cut(lattice, elements, fillings, context)? } else { Vec::new() };
-    Ok(Carved { vertices: treated, numbers })
-}
-
-/// Cuts every element with vertices that are filled; the number before of each element, or [`CHANGED`].
-fn cut(
-    lattice: &mut RedGreenLattice,
-    elements: &mut Elements,
-    fillings: &Fillings,
+    around: Vec<u32>,
     context: &RunContext,
 ) -> Result<Vec<u32>> {
-    let old = std::mem::take(elements);
-    // What a tet with one, two, three of its vertices in a group becomes.
-    let pieces = |tet: &[u32; 4]| match tet.iter().filter(|v| fillings.has(**v)).count() {
-        1 | 3 => 4,
-        2 => 6,
-        _ => 1,
-    };
-    let count = old.tets.par_iter().with_min_len(4096).map(pieces).sum();
-    let mut numbers = Vec::with_capacity(count);
-    elements.tets.reserve_exact(count);
-    elements.labels.reserve_exact(count);
-    elements.leaves.reserve_exact(count);
-    for (number, ((tet, own), leaf)) in (0u32..).zip(old.tets.iter().zip(&old.labels).zip(&old.leaves)) {
-        context.check_every(ELEMENTS_PER_CHECK, number as usize)?;
-        numbers.resize(elements.tets.len(), CHANGED);
-        let filled = tet.iter().find_map(|v| fillings.label_of[*v as usize]);
-        let mut push = |lattice: &RedGreenLattice, tet: [u32; 4], label: Label| {
-            elements.tets.push(oriented(lattice, tet));
+    let first_new = elements.tets.len() as u32;
+    let mut parts: Vec<([u32; 4], Label)> = Vec::new();
+    for (at, e) in around.iter().map(|e| *e as usize).enumerate() {
+        context.check_every(ELEMENTS_PER_CHECK, at)?;
+        parts.clear();
+        append_parts(lattice, elements.tets[e], elements.labels[e], fillings, &mut parts);
+        let mut parts = parts.iter().map(|(tet, label)| (oriented(lattice, *tet), *label));
+        if let Some(part) = parts.next() {
+            (elements.tets[e], elements.labels[e]) = part;
+        }
+        for (tet, label) in parts {
+            elements.tets.push(tet);
             elements.labels.push(label);
-            elements.leaves.push(*leaf);
-        };
-        let Some(filled) = filled else {
-            numbers.push(number);
-            elements.tets.push(*tet);
-            elements.labels.push(*own);
-            elements.leaves.push(*leaf);
-            continue;
-        };
-        let (inner, outer): (Vec<u32>, Vec<u32>) = tet.iter().partition(|v| fillings.has(**v));
-        let mut middle = |i: usize, o: usize| {
-            let ends = [inner[i], outer[o]];
-            let position = ends.map(|v| lattice.vertices.positions[v as usize]);
-            let place = (position[0] + position[1]) / 2;
-            lattice.vertices.insert_middle(place, ends, &lattice.frame, &lattice.field)
-        };
-        match inner.len() {
-            1 => {
-                let m = [middle(0, 0), middle(0, 1), middle(0, 2)];
-                push(lattice, [inner[0], m[0], m[1], m[2]], filled);
-                let prism = [m[0], m[1], m[2], outer[0], outer[1], outer[2]];
-                prism_tets(prism).into_iter().for_each(|t| push(lattice, t, *own));
-            }
-            2 => {
-                let m = [[middle(0, 0), middle(0, 1)], [middle(1, 0), middle(1, 1)]];
-                let inside = [inner[0], m[0][0], m[0][1], inner[1], m[1][0], m[1][1]];
-                let outside = [outer[0], m[0][0], m[1][0], outer[1], m[0][1], m[1][1]];
-                prism_tets(inside).into_iter().for_each(|t| push(lattice, t, filled));
-                prism_tets(outside).into_iter().for_each(|t| push(lattice, t, *own));
-            }
-            3 => {
-                let m = [middle(0, 0), middle(1, 0), middle(2, 0)];
-                let prism = [inner[0], inner[1], inner[2], m[0], m[1], m[2]];
-                prism_tets(prism).into_iter().for_each(|t| push(lattice, t, filled));
-                push(lattice, [m[0], m[1], m[2], outer[0]], *own);
-            }
-            _ => push(lattice, *tet, filled),
+            elements.leaves.push(elements.leaves[e]);
         }
     }
-    numbers.resize(elements.tets.len(), CHANGED);
-    Ok(numbers)
+    let mut changed = around;
+    changed.extend(first_new..elements.tets.len() as u32);
+    Ok(changed)
+}
+
+/// What an element with vertices that are filled becomes.
+fn append_parts(
+    lattice: &mut RedGreenLattice,
+    tet: [u32; 4],
+    own: Label,
+    fillings: &Fillings,
+    parts: &mut Vec<([u32; 4], Label)>,
+) {
+    let Some(filled) = tet.iter().find_map(|v| fillings.label_of[*v as usize]) else {
+        parts.push((tet, own));
+        return;
+    };
+    let (inner, outer): (Vec<u32>, Vec<u32>) = tet.iter().partition(|v| fillings.has(**v));
+    let mut middle = |i: usize, o: usize| {
+        let ends = [inner[i], outer[o]];
+        let position = ends.map(|v| lattice.vertices.positions[v as usize]);
+        let place = (position[0] + position[1]) / 2;
+        lattice.vertices.insert_middle(place, ends, &lattice.frame, &lattice.field)
+    };
+    match inner.len() {
+        1 => {
+            let m = [middle(0, 0), middle(0, 1), middle(0, 2)];
+            parts.push(([inner[0], m[0], m[1], m[2]], filled));
+            let prism = [m[0], m[1], m[2], outer[0], outer[1], outer[2]];
+            parts.extend(prism_tets(prism).map(|t| (t, own)));
+        }
+        2 => {
+            let m = [[middle(0, 0), middle(0, 1)], [middle(1, 0), middle(1, 1)]];
+            let inside = [inner[0], m[0][0], m[0][1], inner[1], m[1][0], m[1][1]];
+            let outside = [outer[0], m[0][0], m[1][0], outer[1], m[0][1], m[1][1]];
+            parts.extend(prism_tets(inside).map(|t| (t, filled)));
+            parts.extend(prism_tets(outside).map(|t| (t, own)));
+        }
+        3 => {
+            let m = [middle(0, 0), middle(1, 0), middle(2, 0)];
+            let prism = [inner[0], inner[1], inner[2], m[0], m[1], m[2]];
+            parts.extend(prism_tets(prism).map(|t| (t, filled)));
+            parts.push(([m[0], m[1], m[2], outer[0]], own));
+        }
+        _ => parts.push((tet, filled)),
+    }
 }
 
 /// Three tets of a prism with triangles (0 1 2) and (3 4 5), 3 across 0: every side is cut at its smallest vertex, so that
@@ -157,7 +139,7 @@ fn oriented(lattice: &RedGreenLattice, tet: [u32; 4]) -> [u32; 4] {
 mod tests {
     use super::*;
     use crate::lattice::euler_ranges::changes_by_filling;
-    use crate::lattice::face_adjacency::{neighbors_after, neighbors_of};
+    use crate::lattice::face_adjacency::{neighbors_of, rematch};
     use crate::lattice::image_contacts::ImageContacts;
     use crate::lattice::interface_topology::InterfaceTopology;
     use crate::lattice::kept_components::KeptComponents;
@@ -205,13 +187,19 @@ mod tests {
                 let rules = FillingRules { regions: &regions, euler: None, are_checked: false, extent, kept };
                 let fillings =
                     choose_fillings(&lattice, &elements.labels, &topology, &pinches, rules, context).unwrap();
+                let filled = fillings.vertices();
+                let around = topology.elements_around(&filled);
                 drop(topology);
-                let carved = carve(&mut lattice, &mut elements, &fillings, context).unwrap();
-                let after = neighbors_after(&neighbors, &carved.numbers, &elements.tets, context).unwrap();
+                let before = neighbors.len();
+                assert!(!around.is_empty() && around.len() < before);
+                let changed = carve(&mut lattice, &mut elements, &fillings, around.clone(), context).unwrap();
+                let new = before as u32..elements.tets.len() as u32;
+                assert!(new.len() > around.len());
+                assert_eq!(changed, around.into_iter().chain(new).collect::<Vec<u32>>());
+                let mut after = neighbors;
+                rematch(&mut after, &elements.tets, &changed, context).unwrap();
                 assert_eq!(after, neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap());
-                let kept = carved.numbers.iter().filter(|n| **n != CHANGED).count();
-                assert!(kept > 0 && kept < neighbors.len());
-                (carved.vertices, near, line.len())
+                (filled.len(), near, line.len())
             })
         };
         let (treated, near, all) = carved(Extent::NearLabel);
@@ -249,17 +237,19 @@ mod tests {
                 kept: KeptComponents::new(&components, &[]),
             };
             let fillings = choose_fillings(&lattice, &elements.labels, &topology, &first, rules(), context).unwrap();
+            let around = topology.elements_around(&fillings.vertices());
             drop(topology);
-            let carved = carve(&mut lattice, &mut elements, &fillings, context).unwrap();
-            let to_see = first.to_see_after(&lattice, &elements, &carved.numbers);
-            let neighbors = neighbors_after(&neighbors, &carved.numbers, &elements.tets, context).unwrap();
+            let changed = carve(&mut lattice, &mut elements, &fillings, around, context).unwrap();
+            let to_see = first.to_see_after(&lattice, &elements, &changed);
+            let mut neighbors = neighbors;
+            rematch(&mut neighbors, &elements.tets, &changed, context).unwrap();
             let topology = topology_of(&lattice, &elements, &neighbors, context);
             let among = |candidates: [Option<&[bool]>; 2]| {
                 Pinches::among(&lattice, &elements.labels, &topology, candidates, context)
             };
             let all = among([None; 2]).unwrap();
             let near = among([Some(&to_see); 2]).unwrap();
-            assert!(carved.vertices > 0 && to_see.contains(&false) && !all.vertices.is_empty());
+            assert!(!changed.is_empty() && to_see.contains(&false) && !all.vertices.is_empty());
             assert_eq!(near.vertices, all.vertices);
             context.cancel_token().cancel();
             assert!(matches!(among([None; 2]), Err(crate::Error::Cancelled)));
@@ -267,7 +257,7 @@ mod tests {
             assert!(matches!(chosen, Err(crate::Error::Cancelled)));
             drop(topology);
             let all = Fillings { label_of: vec![Some(Label(1)); lattice.vertices.positions.len()] };
-            let carved = carve(&mut lattice, &mut elements, &all, context);
+            let carved = carve(&mut lattice, &mut elements, &all, changed, context);
             assert!(matches!(carved, Err(crate::Error::Cancelled)));
         });
     }
@@ -305,8 +295,9 @@ mod tests {
                 group.iter().for_each(|v| fillings.label_of[*v as usize] = Some(label));
             }
             assert!(filled_open.iter().all(|open| *open > 3), "{filled_open:?}");
+            let around = topology.elements_around(&fillings.vertices());
             drop(topology);
-            carve(&mut lattice, &mut elements, &fillings, context).unwrap();
+            carve(&mut lattice, &mut elements, &fillings, around, context).unwrap();
             let vertices = lattice.vertices.positions.len();
             let neighbors = neighbors_of(&elements.tets, vertices, context).unwrap();
             let topology = topology_of(&lattice, &elements, &neighbors, context);
@@ -343,8 +334,9 @@ mod tests {
                 let filled = |group: &Vec<u32>| group.iter().filter(|v| fillings.has(**v)).count();
                 let groups = groups_of(&topology, &pinches.vertices);
                 let in_part = groups.iter().filter(|group| (1..group.len()).contains(&filled(group))).count();
+                let around = topology.elements_around(&fillings.vertices());
                 drop(topology);
-                carve(&mut lattice, &mut elements, &fillings, context).unwrap();
+                carve(&mut lattice, &mut elements, &fillings, around, context).unwrap();
                 let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap();
                 let topology = topology_of(&lattice, &elements, &neighbors, context);
                 let after = ranges(&topology, &elements.labels, wanted);

@@ -37,7 +37,7 @@ use crate::lattice::euler_ranges::{EulerNumbers, EulerRanges, changes_by_filling
 use crate::lattice::image_contacts::ImageContacts;
 use crate::lattice::interface_topology::{InterfaceTopology, labels_of};
 use crate::lattice::kept_components::{KeptComponents, Taken};
-use crate::lattice::red_green::{CHANGED, Elements, RedGreenLattice};
+use crate::lattice::red_green::{Elements, RedGreenLattice};
 
 /// Groups of pinched vertices between two looks at whether the run is cancelled.
 const GROUPS_PER_CHECK: usize = 64;
@@ -109,12 +109,11 @@ impl Pinches {
     }
 
     /// For each vertex whether it may have to be carved after a carving of these: what had to be before, and the vertices of the
-    /// elements that were made. `numbers` is what
-    /// [`carve`](crate::lattice::interface_carving::carve) returned.
-    pub fn to_see_after(&self, lattice: &RedGreenLattice, elements: &Elements, numbers: &[u32]) -> Vec<bool> {
+    /// elements `changed` by [`carve`](crate::lattice::interface_carving::carve).
+    pub fn to_see_after(&self, lattice: &RedGreenLattice, elements: &Elements, changed: &[u32]) -> Vec<bool> {
         let mut is_seen = vec![false; lattice.vertices.positions.len()];
-        let made = elements.tets.iter().zip(numbers).filter(|(_, number)| **number == CHANGED);
-        made.flat_map(|(tet, _)| tet).chain(&self.vertices).for_each(|v| is_seen[*v as usize] = true);
+        let vertices = changed.iter().flat_map(|e| &elements.tets[*e as usize]).chain(&self.vertices);
+        vertices.for_each(|v| is_seen[*v as usize] = true);
         is_seen
     }
 }
@@ -128,6 +127,11 @@ pub struct Fillings {
 impl Fillings {
     pub(super) fn has(&self, vertex: u32) -> bool {
         self.label_of[vertex as usize].is_some()
+    }
+
+    /// The vertices that are filled, increasing.
+    pub fn vertices(&self) -> Vec<u32> {
+        (0u32..).zip(&self.label_of).filter(|(_, label)| label.is_some()).map(|(v, _)| v).collect()
     }
 }
 

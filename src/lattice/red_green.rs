@@ -88,7 +88,7 @@ pub struct Elements {
     pub tets: Vec<[u32; 4]>,
     /// Label at the centroid ([`RedGreenLattice::label_at_centroid`]). 2 B / element.
     pub labels: Vec<Label>,
-    /// The leaf each element comes from, increasing. 4 B / element.
+    /// The leaf each element comes from, increasing until elements are carved: what that adds comes at the end. 4 B / element.
     pub leaves: Vec<u32>,
 }
 

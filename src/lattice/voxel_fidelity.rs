@@ -74,8 +74,24 @@ pub fn recounted(
     let all = (0..before.len() as u32).into_par_iter().with_min_len(CHUNK);
     let changed: Vec<u32> = context.until_cancelled(all).filter(|e| has_changed(*e)).collect();
     context.check()?;
-    let anew = mismatches_of(lattice, elements, changed, components, context)?;
-    let mut all: Vec<Mismatch> = found.iter().filter(|m| !has_changed(m.element)).copied().chain(anew).collect();
+    counted_anew(found, changed, lattice, elements, components, context)
+}
+
+/// The mismatches after some elements, increasing, have changed in their places or have come at the end, when there were those `found`.
+///
+/// # Errors
+/// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
+pub fn counted_anew(
+    found: &[Mismatch],
+    changed: Vec<u32>,
+    lattice: &RedGreenLattice,
+    elements: &Elements,
+    components: &Components,
+    context: &RunContext,
+) -> Result<Vec<Mismatch>> {
+    let stays = |m: &&Mismatch| changed.binary_search(&m.element).is_err();
+    let mut all: Vec<Mismatch> = found.iter().filter(stays).copied().collect();
+    all.extend(mismatches_of(lattice, elements, changed, components, context)?);
     // Stable: those of one element keep their order.
     all.sort_by_key(|m| m.element);
     Ok(all)
