@@ -63,6 +63,7 @@ use crate::lattice::report::Report;
 use crate::lattice::stray_voxels::mark_stray_voxels;
 use crate::lattice::subdivision_criteria::{Deficit, Demands, Targets, finest_level, mark_leaves};
 use crate::lattice::topology_differences::elements_at_differences;
+use crate::lattice::vertex_balls::VertexBalls;
 use crate::lattice::voxel_fidelity::{
     LabelCount, Mismatch, counted_anew, for_each_voxel, mismatches, mismatches_after, recounted,
 };
@@ -249,6 +250,8 @@ struct RelabelledPinches {
     euler: Option<EulerRanges>,
     /// All vertices that still pinch, and some others, where they are known.
     left: Option<Vec<u32>>,
+    /// The elements around vertices.
+    balls: Option<VertexBalls>,
 }
 
 /// What is known from the round before.
@@ -430,14 +433,17 @@ impl Rounds<'_> {
         })
     }
 
-    /// The topology of the interfaces, of what is left inside of the image where smoothing cuts the elements at its border.
+    /// The topology of the interfaces, of what is left inside of the image where smoothing cuts the elements at its border; `balls` are
+    /// those of the elements where they are known.
     fn topology<'a>(
         &self,
         lattice: &RedGreenLattice,
         tets: &'a [[u32; 4]],
         neighbors: &'a [[u32; 4]],
+        balls: Option<VertexBalls>,
     ) -> Result<InterfaceTopology<'a>> {
-        let mut topology = InterfaceTopology::new(tets, neighbors, lattice.vertices.positions.len(), self.context)?;
+        let list = || VertexBalls::new(tets, neighbors, lattice.vertices.positions.len(), self.context);
+        let mut topology = InterfaceTopology::with_balls(tets, neighbors, balls.map_or_else(list, Ok)?);
         if let Some(is_inside) = self.inside(lattice) {
             topology.cut_at_border(&is_inside);
         }
@@ -503,7 +509,7 @@ impl Rounds<'_> {
         before: &Deficit,
     ) -> Result<RelabelledPinches> {
         let unchanged = elements.labels.clone();
-        let topology = self.topology(lattice, &elements.tets, neighbors)?;
+        let topology = self.topology(lattice, &elements.tets, neighbors, None)?;
         let contacts = ImageContacts::new(lattice, &elements.tets, neighbors);
         let context = self.context;
         // What pinches without a repair, and the Euler numbers then.
@@ -542,11 +548,12 @@ impl Rounds<'_> {
             let after = self.recount(&found, &unchanged, lattice, elements)?;
             if !self.deficit(&after).is_worse_than(before) {
                 self.report.add("topology.relabelled", repaired.changed.len() as f64);
-                return Ok(RelabelledPinches { found: after, euler, left: Some(repaired.left) });
+                let balls = Some(topology.into_balls());
+                return Ok(RelabelledPinches { found: after, euler, left: Some(repaired.left), balls });
             }
             elements.labels.clone_from(&unchanged);
         }
-        Ok(RelabelledPinches { found, euler: None, left: None })
+        Ok(RelabelledPinches { found, euler: None, left: None, balls: Some(topology.into_balls()) })
     }
 
     /// Relabels loose regions and pinched elements; returns the leaves to refine where that was not enough, and
@@ -571,12 +578,12 @@ impl Rounds<'_> {
         }
         let mut relabelled = self.relabel_pinches(lattice, elements, neighbors, found, before)?;
         if let Some(found) = self.fill_unseen(lattice, elements, neighbors, &relabelled.found)? {
-            relabelled = RelabelledPinches { found, euler: None, left: None };
+            relabelled = RelabelledPinches { found, euler: None, left: None, balls: relabelled.balls };
         }
         let context = self.context;
         let mut marked = vec![false; lattice.tets.len()];
         if limit.rounds_left > 0 {
-            let topology = self.topology(lattice, &elements.tets, neighbors)?;
+            let topology = self.topology(lattice, &elements.tets, neighbors, relabelled.balls.take())?;
             let known = self.euler_ranges(relabelled.euler.take(), &topology, &elements.labels)?;
             marked = self.mark_other_pieces(lattice, elements, neighbors, &relabelled.found, limit.finest)?;
             let others = known.all_out_of_reach();
@@ -597,6 +604,7 @@ impl Rounds<'_> {
                 self.mark_refinable(lattice, elements, &across, limit.finest, &mut marked);
             }
             relabelled.euler = Some(known);
+            relabelled.balls = Some(topology.into_balls());
         }
         if marked.contains(&true) {
             // A few gaps must not refine the whole lattice.
@@ -621,7 +629,7 @@ impl Rounds<'_> {
             return Ok(());
         }
         let context = self.context;
-        let topology = self.topology(lattice, &elements.tets, neighbors)?;
+        let topology = self.topology(lattice, &elements.tets, neighbors, relabelled.balls.take())?;
         let mut euler = self.euler_ranges(relabelled.euler.take(), &topology, &elements.labels)?;
         let unchanged = elements.labels.clone();
         let passages = Passages { lattice, topology: &topology, leaves: &elements.leaves };
@@ -632,6 +640,7 @@ impl Rounds<'_> {
         }
         self.report.add("topology.opened_passages", opened as f64);
         relabelled.euler = Some(euler);
+        relabelled.balls = Some(topology.into_balls());
         Ok(())
     }
 
@@ -738,7 +747,7 @@ impl Rounds<'_> {
         neighbors: &mut Vec<[u32; 4]>,
         relabelled: RelabelledPinches,
     ) -> Result<Vec<Mismatch>> {
-        let RelabelledPinches { mut found, mut euler, left } = relabelled;
+        let RelabelledPinches { mut found, mut euler, left, mut balls } = relabelled;
         // In the first round all vertices, but those known not to pinch.
         let mut to_see: Option<Vec<bool>> = None;
         let mut may_pinch = left.map(|left| {
@@ -748,7 +757,7 @@ impl Rounds<'_> {
         });
         for round in 1..=CARVING_ROUNDS {
             let context = self.context;
-            let topology = self.topology(lattice, &elements.tets, neighbors)?;
+            let topology = self.topology(lattice, &elements.tets, neighbors, balls.take())?;
             let breaches = to_see.as_deref();
             let candidates = [breaches, may_pinch.as_deref().or(breaches)];
             let pinches = Pinches::among(lattice, &elements.labels, &topology, candidates, context)?;
@@ -776,11 +785,13 @@ impl Rounds<'_> {
                 break;
             }
             let around = topology.elements_around(&filled);
-            drop(topology);
+            let mut known = topology.into_balls();
             let changed = carve(lattice, elements, &fillings, around, context)?;
             to_see = Some(pinches.to_see_after(lattice, elements, &changed));
             drop((pinches, joinable));
             self.report.timed("adjacency", || rematch(neighbors, &elements.tets, &changed, context))?;
+            known.update(&elements.tets, neighbors, &changed, lattice.vertices.positions.len());
+            balls = Some(known);
             let components = &self.components;
             let count = || counted_anew(&found, changed, lattice, elements, components, context);
             found = self.report.timed("fidelity", count)?;

@@ -28,17 +28,14 @@ use crate::error::Result;
 use crate::image::connected_components::unite;
 use crate::index::Label;
 use crate::lattice::euler_ranges::{EulerNumbers, EulerRanges};
-use crate::lattice::face_adjacency::OUTSIDE;
+use crate::lattice::vertex_balls::VertexBalls;
 use crate::mesh::numbering::TET_FACES;
 
 /// Elements with labels, and what lies around their vertices.
 pub struct InterfaceTopology<'a> {
     pub(super) tets: &'a [[u32; 4]],
     pub(super) neighbors: &'a [[u32; 4]],
-    starts: Vec<u32>,
-    balls: Vec<u32>,
-    /// Whether a face at the vertex has nothing behind it.
-    open: Vec<bool>,
+    balls: VertexBalls,
     /// Where each vertex lies, if the elements are to be cut where the image ends; else none.
     border: Vec<AtBorder>,
 }
@@ -56,9 +53,6 @@ pub(super) enum AtBorder {
 
 /// Most elements of a ball whose groups are counted in one word of marks.
 pub(super) const MOST_COUNTED: usize = u128::BITS as usize;
-
-/// Elements between two looks at whether the run is cancelled while balls are prepared.
-const ELEMENTS_PER_CHECK: usize = 1 << 16;
 
 /// Vertices per parallel work item.
 const CHUNK: usize = 1024;
@@ -111,31 +105,17 @@ impl<'a> InterfaceTopology<'a> {
         vertex_count: usize,
         context: &RunContext,
     ) -> Result<Self> {
-        let mut starts = vec![0u32; vertex_count + 1];
-        for (e, tet) in tets.iter().enumerate() {
-            context.check_every(ELEMENTS_PER_CHECK, e)?;
-            tet.iter().for_each(|v| starts[*v as usize + 1] += 1);
-        }
-        for v in 0..vertex_count {
-            starts[v + 1] += starts[v];
-        }
-        let mut next = starts.clone();
-        let mut balls = vec![0u32; 4 * tets.len()];
-        for (e, tet) in tets.iter().enumerate() {
-            context.check_every(ELEMENTS_PER_CHECK, e)?;
-            for v in tet {
-                balls[next[*v as usize] as usize] = e as u32;
-                next[*v as usize] += 1;
-            }
-        }
-        let mut open = vec![false; vertex_count];
-        context.check()?;
-        for (tet, row) in tets.iter().zip(neighbors).filter(|(_, row)| row.contains(&OUTSIDE)) {
-            for (face, _) in TET_FACES.iter().zip(row).filter(|(_, near)| **near == OUTSIDE) {
-                face.iter().for_each(|v| open[tet[*v] as usize] = true);
-            }
-        }
-        Ok(Self { tets, neighbors, starts, balls, open, border: Vec::new() })
+        Ok(Self::with_balls(tets, neighbors, VertexBalls::new(tets, neighbors, vertex_count, context)?))
+    }
+
+    /// With the balls of all vertices as they are known.
+    pub fn with_balls(tets: &'a [[u32; 4]], neighbors: &'a [[u32; 4]], balls: VertexBalls) -> Self {
+        Self { tets, neighbors, balls, border: Vec::new() }
+    }
+
+    /// The balls, for whoever asks about the same elements with other labels.
+    pub fn into_balls(self) -> VertexBalls {
+        self.balls
     }
 
     /// The elements are to be cut where the image ends: Euler numbers are those of what is left inside. `is_inside` tells for each
@@ -162,12 +142,12 @@ impl<'a> InterfaceTopology<'a> {
 
     /// Number of vertices.
     pub(super) fn vertex_count(&self) -> usize {
-        self.starts.len() - 1
+        self.balls.vertex_count()
     }
 
     /// Elements around a vertex, increasing.
     pub(super) fn ball(&self, vertex: u32) -> &[u32] {
-        &self.balls[self.starts[vertex as usize] as usize..self.starts[vertex as usize + 1] as usize]
+        self.balls.of(vertex)
     }
 
     /// Vertices whose surfaces pinch, increasing.
@@ -235,7 +215,7 @@ impl<'a> InterfaceTopology<'a> {
 
     /// Whether a face at the vertex has nothing behind it.
     pub fn is_open(&self, vertex: u32) -> bool {
-        self.open[vertex as usize]
+        self.balls.is_open(vertex)
     }
 
     /// Faces of an element that hold the vertex, with the element behind each.

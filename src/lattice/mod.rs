@@ -95,6 +95,7 @@ pub mod tube_fitting;
 pub mod tube_joints;
 pub mod tubular_parts;
 pub mod untangling;
+pub mod vertex_balls;
 pub mod vertex_optimization;
 pub mod vertex_order;
 pub mod vertex_table;
