@@ -48,6 +48,10 @@ const LARGEST_CUT: f64 = 0.3;
 /// Cosine between an old and a new surface normal below which a contraction or turn would fold the surface.
 const SMALLEST_NORMAL_COSINE: f64 = 0.6;
 
+/// Edges of surfaces shorter than this, in voxels of the smallest spacing, may be contracted whatever turns by that: it moves the surface
+/// by less than what it may be off, where edges zigzag on a line so short that no element beside them becomes good otherwise.
+const NOISE: f64 = 0.1;
+
 /// Scores above which nothing more is gained from a vertex optimisation inside of a plan.
 const ENOUGH: f64 = 30.0;
 
@@ -413,7 +417,12 @@ fn surface_contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32, shell
     // The vertices joined to both ends through surfaces are those of the triangles at the edge, or a surface would fold
     // onto itself.
     let at_edge = faces.iter().filter(|f| f.others.contains(&to)).count();
-    if common(&near, &near_to) != at_edge || (mesh.sides(from).len() > 2 && !lies_along_line(mesh, from, to, &near)) {
+    if common(&near, &near_to) != at_edge {
+        return false;
+    }
+    let at = |v: u32| mesh.points[v as usize];
+    let may_bend = at(from).distance(at(to)) < NOISE * mesh.surface.spacing().min_element();
+    if mesh.sides(from).len() > 2 && !lies_along_line(mesh, from, to, &near, may_bend) {
         return false;
     }
     // Nor may a face that stays fall on another one: a piece that four faces bound, as a single tet, would vanish.
@@ -422,7 +431,6 @@ fn surface_contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32, shell
     if faces.iter().any(|f| !f.others.contains(&to) && has_at(&faces_to, f.others)) {
         return false;
     }
-    let at = |v: u32| mesh.points[v as usize];
     let keeps_direction = |f: &&SurfaceFace| {
         let [p, q] = f.others.map(at);
         let before = (p - at(from)).cross(q - at(from)).normalize_or_zero();
@@ -431,7 +439,7 @@ fn surface_contraction_is_safe(mesh: &ImprovementMesh, from: u32, to: u32, shell
     };
     let stay = || faces.iter().filter(|f| !f.others.contains(&to));
     let with = |v: u32, f: &SurfaceFace| Some(([v, f.others[0], f.others[1]], mesh.labels_beside(v, f)?));
-    stay().all(|f| keeps_direction(&f))
+    stay().all(|f| may_bend || keeps_direction(&f))
         && !cuts_off(mesh, faces.iter().filter_map(|f| with(from, f)), stay().filter_map(|f| with(to, f)))
 }
 
@@ -448,8 +456,8 @@ fn cuts_off(
     worst > limit && worst > worst_cut(mesh, before)
 }
 
-/// Whether a vertex is in the middle of a line where surfaces meet, `to` is next to it, and the line bends little there.
-fn lies_along_line(mesh: &ImprovementMesh, from: u32, to: u32, near: &[u32]) -> bool {
+/// Whether a vertex is in the middle of a line where surfaces meet, `to` is next to it, and the line bends little there or may bend.
+fn lies_along_line(mesh: &ImprovementMesh, from: u32, to: u32, near: &[u32], may_bend: bool) -> bool {
     let is_on_line = |w: &u32| {
         mesh.sides_within(from, *w) && {
             let sides = sides_of_edge(mesh, from, *w, &mesh.shell(from, *w));
@@ -466,7 +474,7 @@ fn lies_along_line(mesh: &ImprovementMesh, from: u32, to: u32, near: &[u32]) -> 
     let at = |v: u32| mesh.points[v as usize];
     let (arriving, leaving) = (at(from) - at(before), at(to) - at(from));
     // Where the other neighbour is joined to `to` the line would close to a triangle and vanish.
-    arriving.normalize_or_zero().dot(leaving.normalize_or_zero()) > SMALLEST_NORMAL_COSINE
+    (may_bend || arriving.normalize_or_zero().dot(leaving.normalize_or_zero()) > SMALLEST_NORMAL_COSINE)
         && mesh.shell(before, to).is_empty()
 }
 
@@ -667,7 +675,7 @@ mod tests {
     use crate::lattice::scaffold::Scaffold;
     use crate::lattice::subvoxel_surface::SubvoxelSurface;
     use crate::lattice::test_images::voxel_image;
-    use crate::lattice::test_meshes::with_edge_on_ball;
+    use crate::lattice::test_meshes::{with_edge_on_ball, with_tets};
 
     #[test]
     fn no_split_scores_more_than_half_the_angle_opposite_to_its_edge() {
@@ -781,5 +789,22 @@ mod tests {
         let shell = work.shell(0, 1);
         assert!(work.is_surface_edge(0, 1, &shell));
         assert!(!surface_contraction_is_safe(&work, 0, 1, &shell));
+    }
+
+    #[test]
+    fn an_edge_shorter_than_noise_is_contracted_whatever_turns() {
+        // A cone on a ring of six between two labels, as high as its ring is wide: its triangles turn flat when the apex goes.
+        let image = voxel_image(6, |p| if p.z < 3.0 { 1 } else { 2 });
+        let is_safe = |scale: f64| {
+            let at = |x: f64, y: f64, z: f64| DVec3::splat(3.0) + scale * DVec3::new(x, y, z);
+            let on_ring = |i: u32| f64::from(i) * std::f64::consts::TAU / 6.0;
+            let ring = (0..6).map(|i| at(on_ring(i).cos(), on_ring(i).sin(), 0.0));
+            let points: Vec<DVec3> = ring.chain([at(0.0, 0.0, 2.0), at(0.0, 0.0, 6.0), at(0.0, 0.0, -4.0)]).collect();
+            let pair = |i: u32| [([6, i, (i + 1) % 6, 7], Label(2)), ([6, i, (i + 1) % 6, 8], Label(1))];
+            let tets: Vec<([u32; 4], Label)> = (0..6).flat_map(pair).collect();
+            with_tets(points, &tets, &image, |mesh| surface_contraction_is_safe(&mesh, 6, 0, &mesh.shell(6, 0)))
+        };
+        // The slant is the root of five times as long as the scale.
+        assert_eq!([0.044, 0.046].map(is_safe), [true, false]);
     }
 }
