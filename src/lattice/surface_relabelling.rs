@@ -273,10 +273,17 @@ fn may_go_over(mesh: &ImprovementMesh, t: u32) -> Option<Between> {
     let between = labels_of(mesh, t).or_else(|| labels_of_faces(mesh, t).map(|(between, _)| between))?;
     let Between { own, other, inner } = between;
     let tet = mesh.tets[t as usize];
-    // Whether all other tets that have all of some vertices are of a label. A third one beside an edge would part the label there.
+    // Whether all other tets that have all of some vertices are of a label and close there. A third one beside an edge would part the
+    // label, and so would nothing: that is background.
     let are_all = |vertices: &[u32], label: Label| {
         let has_all = |n: &u32| vertices[1..].iter().all(|v| mesh.tets[*n as usize].contains(v));
-        mesh.ball(vertices[0]).iter().all(|n| *n == t || mesh.labels[*n as usize] == label || !has_all(n))
+        let has_neighbor =
+            |n: u32, face: usize| vertices.contains(&mesh.tets[n as usize][face]) || mesh.neighbor(n, face).is_some();
+        let mut around = mesh.ball(vertices[0]).iter().filter(|n| has_all(n));
+        around.all(|n| {
+            let is_of_label = *n == t || mesh.labels[*n as usize] == label;
+            is_of_label && (label.is_background() || (0..4).all(|face| has_neighbor(*n, face)))
+        })
     };
     let mut towards = Vec::new();
     for face in 0..4 {
@@ -359,6 +366,14 @@ mod tests {
         // Also at the edge 0 1, where a ring of label 2 would close; not around the edge 2 3, where label 1 would be pinched.
         assert_eq!(label(&[0b1110, 0b1101, 0b1100, 0b0011]), None);
         assert_eq!(label(&[0b1110, 0b1101]), None);
+        // Where nothing is between the tets of label 1 at the edge 0 1, they would be parted, or those of label 2 at the edge 2 3.
+        for gap in [0b0011, 0b1100] {
+            let with_gap = with_inner_tet(&[0b1110, 0b1101, 0b1100], |mut mesh| {
+                mesh.replace(&[gap - 1], &[]);
+                may_go_over(&mesh, INNER).map(|between| between.other)
+            });
+            assert_eq!(with_gap, None, "{gap:b}");
+        }
         // All around the corner 3, and not quite.
         let around = [0b1110, 0b1101, 0b1011, 0b1001, 0b1010, 0b1100, 0b1000];
         assert_eq!(label(&around), Some(Label(2)));
