@@ -10,7 +10,8 @@
 //! 2. A piece stays too where it holds a voxel that is far from every voxel that other pieces of its label hold, as the end of
 //!    a thread one voxel thick: without it that part of the tissue would have no mesh near it. Not where sub-meshes are to be
 //!    manifold and of as many components as the image has.
-//! 3. The piece takes the label behind most of its faces, one that makes no vertex pinch if there is one.
+//! 3. The piece takes the label behind most of its faces, one that makes no vertex pinch and joins no pieces of its own if there is
+//!    one.
 //!
 //! Smaller pieces are first, so that of several pieces of a small component the largest stays.
 //!
@@ -80,13 +81,14 @@ pub fn relabel_loose_pieces(
     far: FarPieces,
     context: &RunContext,
 ) -> Result<usize> {
-    let pieces = small_pieces(mesh, neighbors, image, context)?;
+    let regions = regions_of(&mesh.tet_labels, neighbors, context)?;
+    let pieces = small_pieces(mesh, &regions, image);
     if pieces.is_empty() {
         return Ok(0);
     }
     let components = Components::new(image, Connectivity::Face, Members::Foreground, context)?;
     let inside = VoxelsInside { image, components: &components };
-    let pieces: Vec<Piece> = pieces.into_iter().map(|(label, tets)| Piece::new(mesh, &inside, label, tets)).collect();
+    let pieces: Vec<Piece> = pieces.into_iter().map(|(label, tets)| Piece::new(mesh, &inside, *label, tets)).collect();
     let mut left = Left::new(mesh, &inside, &pieces, image.label_count(), context)?;
     let may_go = |left: &Left, piece: &Piece| piece.held.len() < SMALLEST_COMPONENT && left.is_enough_without(piece);
     let candidates = pieces.iter().filter(|piece| may_go(&left, piece));
@@ -94,7 +96,7 @@ pub fn relabel_loose_pieces(
         candidates.flat_map(|piece| &piece.held).filter(|_| far == FarPieces::Stay).copied().collect();
     let mut reached = Reached::around(mesh, &inside, &sought);
     context.check()?;
-    let mut loose: Vec<Vec<u32>> = Vec::new();
+    let mut loose: Vec<&[u32]> = Vec::new();
     for piece in pieces {
         if may_go(&left, &piece) && (far == FarPieces::Go || reached.is_enough_without(&inside, &piece.held)) {
             left.take(&piece);
@@ -103,45 +105,52 @@ pub fn relabel_loose_pieces(
         }
     }
     if !loose.is_empty() {
-        relabel(mesh, &loose, context)?;
+        relabel(mesh, &loose, &numbers_of(&regions, mesh.tets.len()), context)?;
     }
     Ok(loose.len())
 }
 
-/// Pieces of little volume without fixed vertices, by size.
-fn small_pieces(
+/// The number of the region of each tet.
+fn numbers_of(regions: &[(Label, Vec<u32>)], tets: usize) -> Vec<u32> {
+    let mut numbers = vec![0; tets];
+    for ((_, region), number) in regions.iter().zip(0..) {
+        region.iter().for_each(|t| numbers[*t as usize] = number);
+    }
+    numbers
+}
+
+/// Those of some regions that have little volume and no fixed vertices, by size.
+fn small_pieces<'a>(
     mesh: &CandidateMesh,
-    neighbors: &[[u32; 4]],
+    regions: &'a [(Label, Vec<u32>)],
     image: &LabelImage,
-    context: &RunContext,
-) -> Result<Vec<(Label, Vec<u32>)>> {
+) -> Vec<&'a (Label, Vec<u32>)> {
     let voxel = image.grid().spacing().to_array().into_iter().product::<f64>();
     let volume = |t: &u32| volume6(mesh.tets[*t as usize].map(|v| mesh.points[v.index()])) / 6.0;
-    let is_small = |(_, piece): &(Label, Vec<u32>)| {
+    let is_small = |(_, piece): &&(Label, Vec<u32>)| {
         let mut left = LARGEST_VOLUME * voxel;
         piece.iter().all(|t| {
             left -= volume(t);
             left > 0.0 && !mesh.tets[*t as usize].iter().any(|v| mesh.fixed.contains(v))
         })
     };
-    let mut pieces = regions_of(&mesh.tet_labels, neighbors, context)?;
-    pieces.retain(is_small);
+    let mut pieces: Vec<&(Label, Vec<u32>)> = regions.iter().filter(is_small).collect();
     pieces.sort_by_key(|(_, piece)| piece.len());
-    Ok(pieces)
+    pieces
 }
 
 /// A small piece of a label and what it has of the tissue.
-struct Piece {
+struct Piece<'a> {
     label: Label,
-    tets: Vec<u32>,
+    tets: &'a [u32],
     /// The voxels whose centres it holds.
     held: Vec<Held>,
     /// Where it holds none, the components of the voxels that it touches.
     touched: Vec<u32>,
 }
 
-impl Piece {
-    fn new(mesh: &CandidateMesh, inside: &VoxelsInside, label: Label, tets: Vec<u32>) -> Self {
+impl<'a> Piece<'a> {
+    fn new(mesh: &CandidateMesh, inside: &VoxelsInside, label: Label, tets: &'a [u32]) -> Self {
         let held: Vec<Held> = tets.iter().flat_map(|t| inside.of(mesh, *t)).collect();
         let mut touched = Vec::new();
         if held.is_empty() {
@@ -329,11 +338,16 @@ fn contains(corners: &[DVec3; 4], point: DVec3) -> bool {
     })
 }
 
-fn relabel(mesh: &mut CandidateMesh, loose: &[Vec<u32>], context: &RunContext) -> Result<()> {
+/// Gives loose pieces other labels; `regions` has the number of the region of each tet of the mesh.
+fn relabel(mesh: &mut CandidateMesh, loose: &[&[u32]], regions: &[u32], context: &RunContext) -> Result<()> {
     let mut work = Clipping::new(mesh);
     // Whether a surface pinches at a vertex of a piece depends on the elements there: the others are left out.
     let mut is_near = vec![false; work.points.len()];
-    loose.iter().flatten().for_each(|t| work.tets[*t as usize].iter().for_each(|v| is_near[*v as usize] = true));
+    loose
+        .iter()
+        .copied()
+        .flatten()
+        .for_each(|t| work.tets[*t as usize].iter().for_each(|v| is_near[*v as usize] = true));
     let numbers: Vec<u32> = (0..work.tets.len() as u32)
         .into_par_iter()
         .with_min_len(SWEPT_CHUNK)
@@ -341,28 +355,33 @@ fn relabel(mesh: &mut CandidateMesh, loose: &[Vec<u32>], context: &RunContext) -
         .collect();
     let tets: Vec<[u32; 4]> = numbers.iter().map(|t| work.tets[*t as usize]).collect();
     let mut labels: Vec<Label> = numbers.iter().map(|t| work.labels[*t as usize]).collect();
+    // The scaffold comes after the tets of the mesh.
+    let mut region_of: Vec<u32> =
+        numbers.iter().map(|t| regions.get(*t as usize).copied().unwrap_or(u32::MAX)).collect();
     let neighbors = neighbors_of(&tets, work.points.len(), context)?;
     let topology = InterfaceTopology::new(&tets, &neighbors, work.points.len(), context)?;
     for piece in loose {
         let piece: Vec<u32> = piece.iter().map(|t| numbers.partition_point(|n| n < t) as u32).collect();
         let own = labels[piece[0] as usize];
-        let mut around: Vec<Label> = Vec::new();
+        // The label behind each face, and its region there; the scaffold is of one.
+        let mut around: Vec<(Label, u32)> = Vec::new();
         for near in piece.iter().flat_map(|t| neighbors[*t as usize]).filter(|near| *near != OUTSIDE) {
             let label = labels[near as usize];
             if label != own {
-                around.push(label);
+                around.push((label, region_of[near as usize]));
             }
         }
         around.sort_unstable();
-        let runs = around.chunk_by(|a, b| a == b).map(|run| (run.len(), run[0]));
-        let candidates: Vec<(usize, Label)> = runs.collect();
-        let cost = |label: Label, labels: &mut Vec<Label>| topology.gain(&piece, label, labels).max(0);
-        let best = candidates
-            .into_iter()
-            .min_by_key(|(faces, label)| (cost(*label, &mut labels), std::cmp::Reverse(*faces), *label));
+        let runs = around.chunk_by(|a, b| a.0 == b.0);
+        let mut cost = |run: &[(Label, u32)]| {
+            let joined = run.chunk_by(|a, b| a == b).count() as i64 - 1;
+            (topology.gain(&piece, run[0].0, &mut labels).max(0) + joined, std::cmp::Reverse(run.len()))
+        };
+        let best = runs.min_by_key(|run| (cost(run), run[0].0));
         // Nothing beside it: the piece is alone in a lattice that ends with it.
-        let label = best.map_or(Label::BACKGROUND, |(_, label)| label);
+        let (label, region) = best.map_or((Label::BACKGROUND, u32::MAX), |run| run[0]);
         for t in &piece {
+            region_of[*t as usize] = region;
             labels[*t as usize] = label;
             work.labels[numbers[*t as usize] as usize] = label;
             tets[*t as usize].iter().for_each(|v| work.changed[*v as usize] = true);
@@ -450,6 +469,26 @@ mod tests {
             u16::from(p.x == 2.0 && p.y == 2.0 && (1.0..=3.0).contains(&p.z) || p == DVec3::new(1.0, 2.0, 1.0))
         });
         assert_eq!(pieces_left(&joined), (1, 1));
+    }
+
+    #[test]
+    fn a_piece_goes_where_it_joins_nothing_though_more_of_its_faces_are_elsewhere() {
+        // The middle prism is of label 2, between two of label 1; a tet of the scaffold stands on one of its sides. Label 2 has a voxel
+        // elsewhere.
+        let mut mesh = column(2.6);
+        let [a, b, c] = [4, 6, 7].map(VertexId);
+        mesh.tets.append(&mut mesh.scaffold.tets);
+        mesh.scaffold = Scaffold { points: vec![DVec3::new(1.5, -0.5, 2.1)], tets: vec![[a, b, c, VertexId(16)]] };
+        let corners = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z].map(|p| DVec3::splat(4.8) + p);
+        mesh.tets.push([12, 13, 14, 15].map(VertexId));
+        mesh.points.extend(corners);
+        mesh.tet_labels.extend([Label(2); 4]);
+        let image = voxel_image(7, |p| match (p.x, p.y, p.z) {
+            (1.0, 1.0, 1.0 | 3.0) => 1,
+            (5.0, 5.0, 5.0) => 2,
+            _ => 0,
+        });
+        assert_eq!(pieces_left_of(mesh, &image, FarPieces::Go), (1, 3));
     }
 
     #[test]
