@@ -683,13 +683,14 @@ impl Rounds<'_> {
             self.report.timed("topology", || regions_with_background(&elements.labels, neighbors, context))?;
         // What hangs together past the border only is in pieces once it is cut.
         let inside = self.inside(lattice);
-        let of_cut = |inside: Vec<bool>| regions_inside(&elements.tets, &elements.labels, neighbors, &inside, context);
+        let inside = inside.as_deref();
+        let of_cut = |inside: &[bool]| regions_inside(&elements.tets, &elements.labels, neighbors, inside, context);
         let cut = self.report.timed("topology", || inside.map(of_cut).transpose())?;
         let pieces = cut.as_ref().unwrap_or(&regions);
         let surplus = self.surplus(pieces)?;
         let components = &self.components;
         let concerned = self.report.timed("topology", || -> Result<Vec<u32>> {
-            let joints = elements_at_joints(lattice, elements, neighbors, &regions, components, context)?;
+            let joints = elements_at_joints(lattice, elements, neighbors, &regions, inside, components, context)?;
             let regions = joinable_regions(elements, pieces, surplus);
             Ok([joints, elements_at_gaps(lattice, elements, neighbors, found, &regions, context)?].concat())
         })?;

@@ -6,7 +6,7 @@
 //! 2. In a region with more than one, each element goes by the first component that it has voxels of, those without by a neighbour
 //!    through a face, layer by layer.
 //! 3. Two neighbours with different components are a joint, and so is an element with voxels of two. These and their neighbours
-//!    through faces are refined. Elements past the image border join nothing: where surfaces are smoothed the lattice is cut there.
+//!    through faces are refined. What lies past the image border joins nothing where the lattice is cut there.
 //!
 //! # Source
 //! Our own: what [`region_gaps`](crate::lattice::region_gaps) is for a label that is broken.
@@ -27,6 +27,7 @@ use crate::index::{Label, each_once};
 use crate::lattice::face_adjacency::{OUTSIDE, with_neighbors};
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::voxel_fidelity::for_each_component;
+use crate::mesh::numbering::TET_FACES;
 
 /// Elements per parallel work item.
 const CHUNK: usize = 1024;
@@ -35,7 +36,7 @@ const CHUNK: usize = 1024;
 const NONE: u32 = u32::MAX;
 
 /// The elements at joints of components that the image keeps apart, in increasing order; `regions` are the elements of all labels
-/// that are connected through faces.
+/// that are connected through faces, `inside` tells of each vertex whether it is inside of the image, where elements are cut at its border.
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`], [`crate::Error::LimitReached`].
@@ -44,6 +45,7 @@ pub fn elements_at_joints(
     elements: &Elements,
     neighbors: &[[u32; 4]],
     regions: &[(Label, Vec<u32>)],
+    inside: Option<&[bool]>,
     components: &Components,
     context: &RunContext,
 ) -> Result<Vec<u32>> {
@@ -53,14 +55,28 @@ pub fn elements_at_joints(
     }
     let labels = &elements.labels;
     let all: Vec<u32> = joined.iter().flat_map(|(_, region)| region).copied().collect();
-    let is_within = |e: &&u32| lattice.field.contains(lattice.centroid(&elements.tets[**e as usize]));
-    let among: Vec<u32> = over(&all, context).filter(is_within).copied().collect();
+    let tet_of = |e: u32| &elements.tets[e as usize];
+    // Uncut, the background around the lattice hangs together past the border.
+    let has_middle_within = |e: u32| lattice.field.contains(lattice.centroid(tet_of(e)));
+    let is_any_inside = |e: u32, corners: &[usize], inside: &[bool]| {
+        let tet = tet_of(e);
+        corners.iter().any(|corner| inside[tet[*corner] as usize])
+    };
+    let takes_part_at_all = |e: &&u32| match inside {
+        Some(inside) => is_any_inside(**e, &[0, 1, 2, 3], inside),
+        None => has_middle_within(**e),
+    };
+    let among: Vec<u32> = over(&all, context).filter(takes_part_at_all).copied().collect();
     context.check()?;
     let mut takes_part = vec![false; labels.len()];
     among.iter().for_each(|e| takes_part[*e as usize] = true);
     let is_beside =
         |own: u32, n: &u32| *n != OUTSIDE && takes_part[*n as usize] && labels[*n as usize] == labels[own as usize];
-    let beside = |e: u32| neighbors[e as usize].into_iter().filter(move |n| is_beside(e, n));
+    let beside = |e: u32| {
+        let faces = neighbors[e as usize].into_iter().zip(TET_FACES);
+        let is_face_left = move |face: &[usize; 3]| inside.is_none_or(|inside| is_any_inside(e, face, inside));
+        faces.filter(move |(n, face)| is_beside(e, n) && is_face_left(face)).map(|(n, _)| n)
+    };
     let (mut of_element, mut joints) = (vec![NONE; labels.len()], Vec::new());
     let found_in = |e: &u32| components_in(lattice, elements, *e, components).map(|found| (*e, found));
     let found: Vec<(u32, [u32; 2])> = over(&among, context).filter_map(found_in).collect();
@@ -168,9 +184,10 @@ fn components_of(
 mod tests {
     use super::*;
     use crate::image::connected_components::{Connectivity, Members};
+    use crate::lattice::bcc_lattice::PastBorder;
     use crate::lattice::face_adjacency::neighbors_of;
     use crate::lattice::mesh_regions::{regions_of, regions_with_background};
-    use crate::lattice::test_images::{voxel_image, with_lattice};
+    use crate::lattice::test_images::{voxel_image, with_lattice, with_lattice_past};
     use glam::{DVec3, Vec3Swizzles};
 
     /// The middles of what is marked where the elements of two balls, and those on the way between them, have one label.
@@ -188,7 +205,8 @@ mod tests {
             }
             let components = Components::new(&image, Connectivity::Vertex, Members::All, context).unwrap();
             let regions = regions_of(&elements.labels, &neighbors, context).unwrap();
-            let marked = elements_at_joints(&lattice, &elements, &neighbors, &regions, &components, context).unwrap();
+            let marked =
+                elements_at_joints(&lattice, &elements, &neighbors, &regions, None, &components, context).unwrap();
             assert!(marked.is_sorted());
             (marked.into_iter().map(|e| middles[e as usize]).collect(), elements.tets.len())
         })
@@ -216,7 +234,7 @@ mod tests {
             let joined = joined_regions(&lattice, &elements, &regions, &components, context).unwrap();
             // The background on both sides of the plate, around its edges.
             assert!(joined.len() == 1 && joined[0].0.is_background());
-            let marked = elements_at_joints(&lattice, &elements, &neighbors, &regions, &components, context);
+            let marked = elements_at_joints(&lattice, &elements, &neighbors, &regions, None, &components, context);
             assert!(marked.unwrap().is_empty());
             // A hole in the plate joins them.
             let mut elements = elements;
@@ -227,10 +245,38 @@ mod tests {
                 }
             }
             regions = regions_with_background(&elements.labels, &neighbors, context).unwrap();
-            let marked = elements_at_joints(&lattice, &elements, &neighbors, &regions, &components, context);
+            let marked = elements_at_joints(&lattice, &elements, &neighbors, &regions, None, &components, context);
             let middles: Vec<DVec3> =
                 marked.unwrap().iter().map(|e| lattice.centroid(&elements.tets[*e as usize])).collect();
             assert!(!middles.is_empty() && middles.iter().all(|p| (p.yz() - 12.1).abs().max_element() < 6.0));
+        });
+    }
+
+    #[test]
+    fn what_the_cut_leaves_of_elements_with_their_middle_past_the_border_joins() {
+        // The plate goes on past the border, where elements leave a hole in it: also those with a vertex inside of the image, or the others.
+        let image = voxel_image(25, |p| u16::from((p.x - 11.6).abs() < 4.0));
+        with_lattice_past(PastBorder::Continued, &image, 3.0, |lattice, context| {
+            let mut elements = lattice.elements(context).unwrap();
+            let neighbors = neighbors_of(&elements.tets, lattice.vertices.positions.len(), context).unwrap();
+            let components = Components::new(&image, Connectivity::Vertex, Members::All, context).unwrap();
+            let positions = lattice.vertices.positions.iter();
+            let inside: Vec<bool> = positions.map(|p| lattice.field.contains(lattice.frame.local(*p))).collect();
+            for leaves in [true, false] {
+                for (label, tet) in elements.labels.iter_mut().zip(&elements.tets) {
+                    let middle = lattice.centroid(tet);
+                    let is_left = tet.iter().any(|v| inside[*v as usize]);
+                    let is_hole = middle.z > 24.5 && (leaves || !is_left);
+                    *label = Label(u16::from((middle.x - 11.6).abs() < 4.0 && !is_hole));
+                }
+                let regions = regions_with_background(&elements.labels, &neighbors, context).unwrap();
+                let joined = joined_regions(&lattice, &elements, &regions, &components, context).unwrap();
+                assert_eq!(joined.len(), 1, "{leaves}");
+                let marked = |inside: Option<&[bool]>| {
+                    elements_at_joints(&lattice, &elements, &neighbors, &regions, inside, &components, context).unwrap()
+                };
+                assert_eq!((marked(Some(&inside)).is_empty(), marked(None).is_empty()), (!leaves, true));
+            }
         });
     }
 }
