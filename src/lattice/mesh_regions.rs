@@ -353,7 +353,7 @@ mod tests {
     fn regions_across_chunks_are_whole_and_in_order() {
         let context = RunContext::with_threads(2).unwrap();
         let count = 3 * ELEMENTS_PER_CHECK + 5;
-        // A chain of all elements, each far from the next one; every tenth part of a thousand has another label.
+        // A chain of all elements, each far from the next one; of every ten thousand one thousand on end has another label.
         let at = |place: usize| place * 7919 % count;
         let mut neighbors = vec![[OUTSIDE; 4]; count];
         let mut labels = vec![Label(1); count];

@@ -148,12 +148,12 @@ pub fn deform(mesh: &mut CandidateMesh, input: &Deformation, context: &RunContex
             GuardedTets { tets: &scaffold.tets, incidence: &around, part: Part::Scaffold },
         ];
         context.check()?;
-        let before = source_places(mesh, input.sources);
+        let before = (settled > 0.0).then(|| source_places(mesh, input.sources));
         let guarded = move_guarded(&mut mesh.points, &scaffold.points, &groups, &displacements, bound, context)?;
         summary.guarded.damped += guarded.damped;
         summary.guarded.undone += guarded.undone;
         summary.iterations += 1;
-        if mean_distance(&before, &source_places(mesh, input.sources)) < settled {
+        if before.is_some_and(|before| mean_distance(&before, &source_places(mesh, input.sources)) < settled) {
             break;
         }
     }
