@@ -40,7 +40,7 @@ use crate::lattice::border_clipping::Clipping;
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::face_adjacency::{OUTSIDE, neighbors_of};
 use crate::lattice::interface_topology::InterfaceTopology;
-use crate::lattice::mesh_regions::regions_of;
+use crate::lattice::mesh_regions::{numbers_in, regions_of};
 
 /// A component of fewer voxels may be lost, and a loose piece of as many is told rather than lost.
 const SMALLEST_COMPONENT: usize = 8;
@@ -105,18 +105,9 @@ pub fn relabel_loose_pieces(
         }
     }
     if !loose.is_empty() {
-        relabel(mesh, &loose, &numbers_of(&regions, mesh.tets.len()), context)?;
+        relabel(mesh, &loose, &regions, context)?;
     }
     Ok(loose.len())
-}
-
-/// The number of the region of each tet.
-fn numbers_of(regions: &[(Label, Vec<u32>)], tets: usize) -> Vec<u32> {
-    let mut numbers = vec![0; tets];
-    for ((_, region), number) in regions.iter().zip(0..) {
-        region.iter().for_each(|t| numbers[*t as usize] = number);
-    }
-    numbers
 }
 
 /// Those of some regions that have little volume and no fixed vertices, by size.
@@ -338,16 +329,18 @@ fn contains(corners: &[DVec3; 4], point: DVec3) -> bool {
     })
 }
 
-/// Gives loose pieces other labels; `regions` has the number of the region of each tet of the mesh.
-fn relabel(mesh: &mut CandidateMesh, loose: &[&[u32]], regions: &[u32], context: &RunContext) -> Result<()> {
+/// Gives loose pieces other labels; `regions` are the tets of the mesh of each label that are connected through faces.
+fn relabel(
+    mesh: &mut CandidateMesh,
+    loose: &[&[u32]],
+    regions: &[(Label, Vec<u32>)],
+    context: &RunContext,
+) -> Result<()> {
     let mut work = Clipping::new(mesh);
     // Whether a surface pinches at a vertex of a piece depends on the elements there: the others are left out.
     let mut is_near = vec![false; work.points.len()];
-    loose
-        .iter()
-        .copied()
-        .flatten()
-        .for_each(|t| work.tets[*t as usize].iter().for_each(|v| is_near[*v as usize] = true));
+    let tets_of_pieces = loose.iter().copied().flatten().map(|t| work.tets[*t as usize]);
+    tets_of_pieces.flatten().for_each(|v| is_near[v as usize] = true);
     let numbers: Vec<u32> = (0..work.tets.len() as u32)
         .into_par_iter()
         .with_min_len(SWEPT_CHUNK)
@@ -355,15 +348,15 @@ fn relabel(mesh: &mut CandidateMesh, loose: &[&[u32]], regions: &[u32], context:
         .collect();
     let tets: Vec<[u32; 4]> = numbers.iter().map(|t| work.tets[*t as usize]).collect();
     let mut labels: Vec<Label> = numbers.iter().map(|t| work.labels[*t as usize]).collect();
-    // The scaffold comes after the tets of the mesh.
-    let mut region_of: Vec<u32> =
-        numbers.iter().map(|t| regions.get(*t as usize).copied().unwrap_or(u32::MAX)).collect();
+    // The scaffold, which comes after the tets of the mesh, is in none.
+    let of_all = numbers_in(regions, work.tets.len());
+    let mut region_of: Vec<u32> = numbers.iter().map(|t| of_all[*t as usize]).collect();
     let neighbors = neighbors_of(&tets, work.points.len(), context)?;
     let topology = InterfaceTopology::new(&tets, &neighbors, work.points.len(), context)?;
     for piece in loose {
         let piece: Vec<u32> = piece.iter().map(|t| numbers.partition_point(|n| n < t) as u32).collect();
         let own = labels[piece[0] as usize];
-        // The label behind each face, and its region there; the scaffold is of one.
+        // The label behind each face, and its region there.
         let mut around: Vec<(Label, u32)> = Vec::new();
         for near in piece.iter().flat_map(|t| neighbors[*t as usize]).filter(|near| *near != OUTSIDE) {
             let label = labels[near as usize];

@@ -30,11 +30,22 @@ const CHUNK: usize = 4096;
 
 /// What may be joined: the region of each element, and how many regions more than the image each label has.
 pub fn joinable_regions(elements: &Elements, regions: &[(Label, Vec<u32>)], surplus: Vec<i64>) -> Regions {
-    let mut of_element = vec![u32::MAX; elements.tets.len()];
-    for (r, (_, region)) in regions.iter().enumerate() {
-        region.iter().for_each(|e| of_element[*e as usize] = r as u32);
+    Regions { of_element: numbers_in(regions, elements.tets.len()), surplus }
+}
+
+/// The region of each of some elements, by its number; `u32::MAX` for those of none.
+pub fn numbers_in(regions: &[(Label, Vec<u32>)], elements: usize) -> Vec<u32> {
+    let mut numbers = vec![u32::MAX; elements];
+    for ((_, region), number) in regions.iter().zip(0..) {
+        region.iter().for_each(|e| numbers[*e as usize] = number);
     }
-    Regions { of_element, surplus }
+    numbers
+}
+
+/// Whether any of some corners of an element is inside of the image: `is_inside` tells of each vertex.
+#[inline]
+pub fn is_any_inside(tet: &[u32; 4], corners: &[usize], is_inside: &[bool]) -> bool {
+    corners.iter().any(|corner| is_inside[tet[*corner] as usize])
 }
 
 /// Numbers elements by the image's components (`components`, through faces, edges and vertices) instead of by regions of the
@@ -109,7 +120,7 @@ pub fn regions_inside(
     is_inside: &[bool],
     context: &RunContext,
 ) -> Result<Vec<(Label, Vec<u32>)>> {
-    let any_inside = |tet: &[u32; 4], corners: &[usize]| corners.iter().any(|v| is_inside[tet[*v] as usize]);
+    let any_inside = |tet: &[u32; 4], corners: &[usize]| is_any_inside(tet, corners, is_inside);
     // What lies beyond has no part in it, nor do faces there.
     let of_element =
         |tet: &[u32; 4], label: &Label| if any_inside(tet, &[0, 1, 2, 3]) { *label } else { Label::BACKGROUND };

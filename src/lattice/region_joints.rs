@@ -25,6 +25,7 @@ use crate::error::Result;
 use crate::image::connected_components::Components;
 use crate::index::{Label, each_once};
 use crate::lattice::face_adjacency::{OUTSIDE, with_neighbors};
+use crate::lattice::mesh_regions::is_any_inside;
 use crate::lattice::red_green::{Elements, RedGreenLattice};
 use crate::lattice::voxel_fidelity::for_each_component;
 use crate::mesh::numbering::TET_FACES;
@@ -58,12 +59,8 @@ pub fn elements_at_joints(
     let tet_of = |e: u32| &elements.tets[e as usize];
     // Uncut, the background around the lattice hangs together past the border.
     let has_middle_within = |e: u32| lattice.field.contains(lattice.centroid(tet_of(e)));
-    let is_any_inside = |e: u32, corners: &[usize], inside: &[bool]| {
-        let tet = tet_of(e);
-        corners.iter().any(|corner| inside[tet[*corner] as usize])
-    };
     let takes_part_at_all = |e: &&u32| match inside {
-        Some(inside) => is_any_inside(**e, &[0, 1, 2, 3], inside),
+        Some(inside) => is_any_inside(tet_of(**e), &[0, 1, 2, 3], inside),
         None => has_middle_within(**e),
     };
     let among: Vec<u32> = over(&all, context).filter(takes_part_at_all).copied().collect();
@@ -74,7 +71,7 @@ pub fn elements_at_joints(
         |own: u32, n: &u32| *n != OUTSIDE && takes_part[*n as usize] && labels[*n as usize] == labels[own as usize];
     let beside = |e: u32| {
         let faces = neighbors[e as usize].into_iter().zip(TET_FACES);
-        let is_face_left = move |face: &[usize; 3]| inside.is_none_or(|inside| is_any_inside(e, face, inside));
+        let is_face_left = move |face: &[usize; 3]| inside.is_none_or(|inside| is_any_inside(tet_of(e), face, inside));
         faces.filter(move |(n, face)| is_beside(e, n) && is_face_left(face)).map(|(n, _)| n)
     };
     let (mut of_element, mut joints) = (vec![NONE; labels.len()], Vec::new());
@@ -254,7 +251,7 @@ mod tests {
 
     #[test]
     fn what_the_cut_leaves_of_elements_with_their_middle_past_the_border_joins() {
-        // The plate goes on past the border, where elements leave a hole in it: also those with a vertex inside of the image, or the others.
+        // The plate goes on past the border, where it has a hole: all elements with their middle there, or those without a vertex inside.
         let image = voxel_image(25, |p| u16::from((p.x - 11.6).abs() < 4.0));
         with_lattice_past(PastBorder::Continued, &image, 3.0, |lattice, context| {
             let mut elements = lattice.elements(context).unwrap();
