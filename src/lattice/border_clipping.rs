@@ -3,9 +3,11 @@
 //! # Method
 //! The lattice runs past the image border in a zigzag. For each border plane that the mesh reaches:
 //! 1. Vertices next to the plane are moved onto it, or away from it ([`border_snapping`](crate::lattice::border_snapping)).
-//! 2. Elements that still cross it are cut along it. Edges are cut where they meet the plane; a face that becomes a
+//! 2. Elements that cross what is inside of it and of another plane without a vertex there take labels that keep the topology
+//!    ([`border_edges`](crate::lattice::border_edges)).
+//! 3. Elements that still cross it are cut along it. Edges are cut where they meet the plane; a face that becomes a
 //!    quadrilateral is divided from that of its two inner vertices that is nearer to the plane, so neighbours agree.
-//! 3. What lies beyond is left out. What is left of an element has its label, which past the border is that of the nearest voxels
+//! 4. What lies beyond is left out. What is left of an element has its label, which past the border is that of the nearest voxels
 //!    ([`PastBorder`](crate::lattice::bcc_lattice::PastBorder)). Where its label and the other keep their topology it takes
 //!    another one: of a background element that of the voxels there, and what smoothing asks for.
 //! ```text
@@ -36,6 +38,7 @@ use crate::context::RunContext;
 use crate::error::Result;
 use crate::geometry::tetrahedron::volume6;
 use crate::index::{Label, VertexId};
+use crate::lattice::border_edges::settle_labels;
 use crate::lattice::border_snapping::{Plane, move_vertices};
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::element_labels::relabel_for_smoothing;
@@ -59,9 +62,10 @@ pub fn clip_at_border(mesh: &mut CandidateMesh, surface: &SubvoxelSurface, conte
         return Ok(planes);
     }
     let mut work = Clipping { borders, ..Clipping::new(mesh) };
-    for number in &planes {
+    let cuts: Vec<Plane> = planes.iter().map(|number| work.borders[usize::from(*number)]).collect();
+    for at in 0..cuts.len() {
         context.check()?;
-        work.clip(work.borders[usize::from(*number)]);
+        work.clip(&cuts[at..]);
     }
     let is_beyond = work.elements_beyond(surface);
     work.mark_changed();
@@ -115,11 +119,19 @@ impl Clipping {
         Self { points, tets, labels, fixed, changed, relabels, borders: Vec::new() }
     }
 
-    fn clip(&mut self, plane: Plane) {
+    /// Cuts the elements at the first of some planes; the others are still to come.
+    fn clip(&mut self, planes: &[Plane]) {
+        let plane = planes[0];
         let mut heights: Vec<f64> = self.points.par_iter().map(|p| plane.height(*p)).collect();
         for v in move_vertices(self, &mut heights, plane) {
             self.changed[v] = true;
         }
+        settle_labels(&self.tets, &mut self.labels, &self.points, planes);
+        self.cut_along(plane, &heights);
+    }
+
+    /// Leaves out what lies beyond a plane; `heights` are those of all vertices above it.
+    pub(super) fn cut_along(&mut self, plane: Plane, heights: &[f64]) {
         let mut cuts: FxHashMap<(u32, u32), u32> = FxHashMap::default();
         let old = std::mem::take(&mut self.tets);
         let labels = std::mem::take(&mut self.labels);
@@ -132,9 +144,9 @@ impl Clipping {
                 continue;
             }
             let cut = |work: &mut Self, inner: u32, outer: u32| {
-                *cuts.entry((inner, outer)).or_insert_with(|| work.cut([inner, outer], &heights, plane))
+                *cuts.entry((inner, outer)).or_insert_with(|| work.cut([inner, outer], heights, plane))
             };
-            for piece in pieces(self, tet, &heights, cut) {
+            for piece in pieces(self, tet, heights, cut) {
                 self.push(piece, label, true);
             }
         }

@@ -21,8 +21,7 @@
 //! vertex that changes sides can change it, and does not where what it is joined with shrinks to a point.
 //!
 //! # Limits
-//! Vertices that are on the plane already are not looked at, nor those with elements of one label only. Where two planes meet, elements
-//! with no vertex inside of both can still cross what is inside: refinement does not see what is left of them.
+//! Vertices that are on the plane already are not looked at, nor those with elements of one label only.
 //!
 //! # Cost
 //! Vertices that go away are taken one after the other, as each sees where those beside it went; where a plane has many, those that share

@@ -22,6 +22,7 @@ pub mod adaptive_refinement;
 pub mod banded_system;
 pub mod bcc_lattice;
 pub mod border_clipping;
+pub mod border_edges;
 pub mod border_snapping;
 pub mod boundary_targets;
 pub mod candidate_mesh;

@@ -86,23 +86,35 @@ pub fn with_lattice_past<T>(
     work(RedGreenLattice::new(frame, field, 1 << 22, &context).unwrap(), &context)
 }
 
-/// Euler number of the simplices of some tets of which all corners pass, without vertices that stand alone, for each label from 1 on.
-pub fn euler_numbers_where(tets: &[[u32; 4]], labels: &[Label], passes: impl Fn(u32) -> bool) -> Vec<i64> {
+/// The simplices of a label's tets of which all corners pass, these in order.
+fn simplices_where(tets: &[[u32; 4]], labels: &[Label], own: u16, passes: impl Fn(u32) -> bool) -> Vec<Vec<u32>> {
+    let mut simplices: Vec<Vec<u32>> = Vec::new();
+    for (tet, _) in tets.iter().zip(labels).filter(|(_, label)| label.0 == own) {
+        let corners_of = |set: u32| (0..4).filter(|at| set >> at & 1 == 1).map(|at| tet[at]).collect::<Vec<u32>>();
+        simplices.extend((1..16).map(corners_of).filter(|corners| corners.iter().all(|v| passes(*v))));
+    }
+    simplices.iter_mut().for_each(|corners| corners.sort_unstable());
+    simplices.sort_unstable();
+    simplices.dedup();
+    simplices
+}
+
+/// Euler number of the simplices of some tets of which all corners pass, for each label from 1 on.
+pub fn euler_numbers_of(tets: &[[u32; 4]], labels: &[Label], passes: impl Fn(u32) -> bool) -> Vec<i64> {
     let last = labels.iter().map(|label| label.0).max().unwrap_or(0);
-    let of_label = |own: u16| {
-        let mut simplices: Vec<Vec<u32>> = Vec::new();
-        for (tet, _) in tets.iter().zip(labels).filter(|(_, label)| label.0 == own) {
-            let corners_of = |set: u32| (0..4).filter(|at| set >> at & 1 == 1).map(|at| tet[at]).collect::<Vec<u32>>();
-            simplices.extend((1..16).map(corners_of).filter(|corners| corners.iter().all(|v| passes(*v))));
-        }
-        simplices.iter_mut().for_each(|corners| corners.sort_unstable());
-        simplices.sort_unstable();
-        simplices.dedup();
+    let simplices = (1..=last).map(|own| simplices_where(tets, labels, own, &passes));
+    simplices.map(|simplices| simplices.iter().map(|s| if s.len() % 2 == 1 { 1 } else { -1 }).sum()).collect()
+}
+
+/// As [`euler_numbers_of`], without vertices that stand alone.
+pub fn euler_numbers_where(tets: &[[u32; 4]], labels: &[Label], passes: impl Fn(u32) -> bool) -> Vec<i64> {
+    let mut numbers = euler_numbers_of(tets, labels, &passes);
+    for (number, own) in numbers.iter_mut().zip(1..) {
+        let simplices = simplices_where(tets, labels, own, &passes);
         let edges: Vec<u32> = simplices.iter().filter(|corners| corners.len() == 2).flatten().copied().collect();
-        let is_tip = |corners: &&Vec<u32>| corners.len() == 1 && !edges.contains(&corners[0]);
-        simplices.iter().filter(|s| !is_tip(s)).map(|s| if s.len() % 2 == 1 { 1 } else { -1 }).sum()
-    };
-    (1..=last).map(of_label).collect()
+        *number -= simplices.iter().filter(|corners| corners.len() == 1 && !edges.contains(&corners[0])).count() as i64;
+    }
+    numbers
 }
 
 /// All voxels of a cube, and whether they are inside of something.
