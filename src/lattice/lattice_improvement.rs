@@ -13,7 +13,8 @@
 //! in two rounds surface edges and faces are split that cut off what bends ([`chord_splits`](crate::lattice::chord_splits)), in a third
 //! one what still is far off its surface is brought nearer ([`surface_approach`](crate::lattice::surface_approach)); where labels are
 //! vessels also at the end, after tets beyond the surface took the other label and surface edges that bridge a crease were flipped
-//! ([`surface_edge_flips`](crate::lattice::surface_edge_flips)). The volumes come back after that, elsewhere those of labels that are
+//! ([`surface_edge_flips`](crate::lattice::surface_edge_flips)); bridges across gaps are cut
+//! ([`bridge_cuts`](crate::lattice::bridge_cuts)). The volumes come back after that, elsewhere those of labels that are
 //! clearly off at the end, vertex by vertex ([`volume_offsets`](crate::lattice::volume_offsets)). Tets beyond the surface take the
 //! other label in the first rounds, those that turn triangles of it upside down also at the end
 //! ([`surface_relabelling`](crate::lattice::surface_relabelling)); then vertices go that stand off a surface which is nearer without
@@ -39,6 +40,7 @@ use rayon::prelude::*;
 use crate::context::RunContext;
 use crate::error::Result;
 use crate::lattice::boundary_targets::SourcePoints;
+use crate::lattice::bridge_cuts::cut_bridges;
 use crate::lattice::candidate_mesh::CandidateMesh;
 use crate::lattice::chord_splits::{chords, flip, split_chords};
 use crate::lattice::element_score::{Ball, Part, Threshold, tet_fails};
@@ -222,6 +224,8 @@ pub struct ImprovementSummary {
     pub relabelled: usize,
     /// Places far off their surface that came nearer.
     pub approached: usize,
+    /// Bridges across gaps that were cut.
+    pub bridges: usize,
     /// Transformations made.
     pub counts: TransformationCounts,
     /// Pairs of outer faces that still cross.
@@ -348,6 +352,11 @@ pub fn improve(
             budget: LEAST_APPROACHES,
         };
         summary.approached += approach_surface(&mut work, bounds, &mut mend, context)?;
+        summary.bridges = cut_bridges(&mut work, context)?;
+        if summary.bridges > 0 {
+            // What they held back goes to its surface.
+            summary.approached += approach_surface(&mut work, bounds, &mut mend, context)?;
+        }
     }
     let least = if is_approached { 0.0 } else { LEAST_VOLUME_ERROR };
     let moves = OffsetMoves { least, largest: LARGEST_OFFSET * voxel, bound: wanted };

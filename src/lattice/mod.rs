@@ -25,6 +25,7 @@ pub mod border_clipping;
 pub mod border_edges;
 pub mod border_snapping;
 pub mod boundary_targets;
+pub mod bridge_cuts;
 pub mod candidate_mesh;
 pub mod centerlines;
 pub mod change_log;

@@ -114,6 +114,7 @@ pub fn smooth(
     report.set("improvement.searched", result.searched as f64);
     report.set("improvement.relabelled", result.relabelled as f64);
     report.set("improvement.approached", result.approached as f64);
+    report.set("improvement.bridges", result.bridges as f64);
     report.set("improvement.crossings", result.crossings as f64);
     if result.crossings > 0 {
         let text = format!("{} pairs of surface triangles cross: the mesh overlaps itself there", result.crossings);
