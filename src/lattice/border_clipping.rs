@@ -25,7 +25,7 @@
 //!
 //! # Invariants
 //! The mesh conforms; vertices on a border plane have its coordinate exactly. What the cut leaves of a label has the Euler number that
-//! refinement has seen ([`euler_ranges`](crate::lattice::euler_ranges)), within the limits of the step that moves vertices.
+//! refinement has seen ([`euler_ranges`](crate::lattice::euler_ranges)), within the limits of the first two steps.
 //!
 //! # Limits
 //! A plane beyond which a fixed point lies is left alone.

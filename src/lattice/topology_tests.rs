@@ -125,14 +125,18 @@ fn vessels_that_cross_a_voxel_apart_are_not_joined() {
         [([[13.03, 5.05, 9.632], [14.97, 22.95, 9.632]], 3.001), ([[21.05, 8.41, 14.05], [6.95, 19.59, 17.74]], 2.242)];
     let vessels = image(28, |p| u16::from(rods.iter().any(|(ends, radius)| segment_distance(p, *ends) < *radius)));
     assert_eq!(pieces(&mesh(&vessels, &[]), 1), 2);
-    // Elements may be kept larger than that: then it is told.
-    let mut set = ParameterSet::new(PARAMETERS);
-    set.set_text("min-element-size", "1").unwrap();
-    let context = RunContext::with_threads(1).unwrap();
-    let (output, _) = super::run(&vessels, &Options::from_parameters(&set).unwrap(), &context).unwrap();
-    assert_eq!(pieces(&output.mesh, 1), 1);
-    let told: Vec<_> = context.take_findings().iter().map(|f| (f.code, f.ids)).collect();
-    assert_eq!(told, [(FindingCode::DisconnectedMesh, [1, -1])]);
+    // Elements may be kept larger than that: then the bridge is cut at the end, or told where elements stay as they are.
+    for (transformations, count, told) in
+        [("on", 2, vec![]), ("off", 1, vec![(FindingCode::DisconnectedMesh, [1, -1])])]
+    {
+        let mut set = ParameterSet::new(PARAMETERS);
+        set.set_text("min-element-size", "1").unwrap();
+        set.set_text("local-transformations", transformations).unwrap();
+        let context = RunContext::with_threads(1).unwrap();
+        let (output, _) = super::run(&vessels, &Options::from_parameters(&set).unwrap(), &context).unwrap();
+        assert_eq!(pieces(&output.mesh, 1), count);
+        assert_eq!(context.take_findings().iter().map(|f| (f.code, f.ids)).collect::<Vec<_>>(), told);
+    }
 }
 
 #[test]
