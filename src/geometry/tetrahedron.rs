@@ -206,6 +206,15 @@ pub fn largest_skewness([a, b, c, d]: Corners) -> f64 {
     faces.into_iter().map(|(face, apex)| face_skewness(face, apex, None)).fold(0.0, f64::max)
 }
 
+/// Whether a point lies in a positive tet or at its boundary, as far as rounding lets volumes tell.
+pub fn contains(corners: Corners, point: DVec3) -> bool {
+    (0..4).all(|corner| {
+        let mut part = corners;
+        part[corner] = point;
+        volume6(part) >= 0.0
+    })
+}
+
 /// Whether `point` lies in the tet, with the weights of its corners (they sum to 1; all at least 0 inside).
 pub fn barycentric([a, b, c, d]: Corners, point: DVec3) -> [f64; 4] {
     let whole = volume6([a, b, c, d]);

@@ -38,7 +38,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use crate::index::Label;
 use crate::lattice::border_snapping::Plane;
 use crate::lattice::interface_topology::labels_of;
-use crate::mesh::numbering::TET_EDGES;
+use crate::mesh::numbering::{TET_EDGES, sorted_edge};
 
 /// Elements per parallel work item.
 const CHUNK: usize = 4096;
@@ -89,7 +89,7 @@ impl<'a> Beyond<'a> {
 
     /// Edges of a tet that cross what is inside, the ends in order.
     fn edges_of<'t>(&self, tet: &'t [u32; 4]) -> impl Iterator<Item = [u32; 2]> + use<'t, '_> {
-        let edges = TET_EDGES.into_iter().map(|[a, b]| [tet[a].min(tet[b]), tet[a].max(tet[b])]);
+        let edges = TET_EDGES.into_iter().map(|[a, b]| sorted_edge(tet[a], tet[b]));
         edges.filter(|edge| self.crosses(*edge))
     }
 

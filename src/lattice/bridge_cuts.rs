@@ -34,7 +34,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::context::RunContext;
 use crate::error::Result;
-use crate::geometry::tetrahedron::volume6;
+use crate::geometry::tetrahedron::contains;
 use crate::index::Label;
 use crate::lattice::element_score::Part;
 use crate::lattice::improvement_mesh::ImprovementMesh;
@@ -240,16 +240,7 @@ impl Bridge {
             let center = voxel * spacing;
             mesh.surface.within_borders(center) == center && mesh.surface.nearest_label(center) == self.own
         };
-        let is_within = |place: DVec3| {
-            self.tets.iter().any(|t| {
-                let corners = mesh.corners(*t);
-                (0..4).all(|i| {
-                    let mut with = corners;
-                    with[i] = place;
-                    volume6(with) >= 0.0
-                })
-            })
-        };
+        let is_within = |place: DVec3| self.tets.iter().any(|t| contains(mesh.corners(*t), place));
         let voxels = (low.z..=high.z).flat_map(|z| {
             (low.y..=high.y)
                 .flat_map(move |y| (low.x..=high.x).map(move |x| DVec3::new(f64::from(x), f64::from(y), f64::from(z))))
@@ -311,6 +302,7 @@ fn groups_by_edges(triangles: &[[u32; 3]]) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::tetrahedron::volume6;
     use crate::index::VertexId;
     use crate::lattice::options::{Options, PARAMETERS};
     use crate::lattice::test_images::{segment_distance, voxel_image};

@@ -31,7 +31,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::context::RunContext;
 use crate::error::Result;
-use crate::geometry::tetrahedron::volume6;
+use crate::geometry::tetrahedron::{contains, volume6};
 use crate::image::connected_components::{Components, Connectivity, Members};
 use crate::image::label_image::LabelImage;
 use crate::image::voxel_blocks::{box_of, touched_box};
@@ -295,7 +295,7 @@ impl VoxelsInside<'_> {
                 for i in low[0]..=high[0] {
                     let [x, y, z] = [i, j, k].map(|v| v as usize);
                     let center = DVec3::new(f64::from(i), f64::from(j), f64::from(k));
-                    if self.image.at(x, y, z) == label && contains(&corners, center) {
+                    if self.image.at(x, y, z) == label && contains(corners, center) {
                         let component = self.components.component_at(x, y, z);
                         found.extend(component.map(|component| Held { component, voxel: [i, j, k] }));
                     }
@@ -318,15 +318,6 @@ impl VoxelsInside<'_> {
         let [low, high] = [[0, 1, 2].map(|d| *range(d).start()), [0, 1, 2].map(|d| *range(d).end())];
         box_of(low, high).filter(move |v| at(*v) == label && center(*v).distance(center(voxel)) <= reach)
     }
-}
-
-/// Whether a point lies in a positive tet.
-fn contains(corners: &[DVec3; 4], point: DVec3) -> bool {
-    (0..4).all(|c| {
-        let mut part = *corners;
-        part[c] = point;
-        volume6(part) >= 0.0
-    })
 }
 
 /// Gives loose pieces other labels; `regions` are the tets of the mesh of each label that are connected through faces.
